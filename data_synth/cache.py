@@ -10,7 +10,7 @@ from pathlib import Path
 from data_synth.cameras import camera_file
 from data_synth.recipe import Recipe, dump_recipe
 from data_synth.sequence import make_sequence
-from vo.errors import OutputError
+from vo.base.errors import OutputError
 
 
 def cached_sequence(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from vo.formats.calibration import read_calibration
-from vo.settings import find_preset, names_in, preset_folder
-from vo.types import Camera, Rig
+from vo.base.settings import find_preset, names_in, preset_folder
+from vo.base.types import Camera, Rig
+from vo.recordings.formats.calibration import read_calibration
 
 
 def camera_folder() -> Path:

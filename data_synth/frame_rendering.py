@@ -16,8 +16,8 @@ from data_synth.scene.shutter import Shutter, moving_shutter, static_shutter
 from data_synth.scene.world import World
 from data_synth.sensor.exposure import AutoExposure, Settings, readout_s
 from data_synth.sensor.photometrics import develop, vignetting
-from vo.geometry.transforms import inverse
-from vo.types import Bytes, Camera, Floats, Floats32
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Bytes, Camera, Floats, Floats32
 
 _PREVIEW_STEP = 8
 _SEED_NOISE = 2

@@ -21,7 +21,7 @@ from data_synth.sensor.kidnapping import kidnap, path_seconds
 from data_synth.sensor.timing import Timing, make_timing
 from data_synth.worlds.registry import make_scene
 from data_synth.writers.registry import check
-from vo.types import Floats, ImuNoise, Rig, Trajectory
+from vo.base.types import Floats, ImuNoise, Rig, Trajectory
 
 FIRST_STAMP_NS = 1_700_000_000_000_000_000
 

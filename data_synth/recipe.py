@@ -13,7 +13,7 @@ from typing import Literal
 import yaml
 from pydantic import Field
 
-from vo.settings import (
+from vo.base.settings import (
     Section,
     find_preset,
     names_in,

@@ -1,7 +1,7 @@
 """Records that the parts of the generator exchange.
 
-Conventions as in `vo.types`. The body frame has x ahead, y to the left and z up; it is also the
-frame of the inertial sensor. The world has z up and gravity (0, 0, -9.81) m/s². A frame's stamp
+Conventions as in `vo.base.types`. The body frame has x ahead, y to the left and z up; it is also
+the frame of the inertial sensor. The world has z up and gravity (0, 0, -9.81) m/s². A frame's stamp
 is the middle of the exposure of the image's middle row.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.types import Bools, Floats, Floats32, ImuNoise, Ints, Rig, Trajectory
+from vo.base.types import Bools, Floats, Floats32, ImuNoise, Ints, Rig, Trajectory
 
 GRAVITY_M_S2 = 9.81
 

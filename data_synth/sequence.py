@@ -14,7 +14,7 @@ from data_synth.plan import make_plan
 from data_synth.recipe import Recipe, dump_recipe
 from data_synth.records import Recording, Shot
 from data_synth.writers.registry import FORMATS, load_writer
-from vo.errors import OutputError
+from vo.base.errors import OutputError
 
 OnFrame = Callable[[int, int], None]
 

@@ -25,8 +25,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vo.batch.tables import read_batch
-from vo.scheduling import available_cores
+from vo.base.scheduling import available_cores
+from vo.runs.batch.tables import read_batch
 
 ROOT = Path(__file__).resolve().parent.parent
 VO = ROOT / ".venv" / "bin" / "vo"

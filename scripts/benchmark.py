@@ -196,7 +196,7 @@ def _processor() -> str:
 def _versions() -> str:
     from importlib.metadata import version
 
-    from vo.version import __version__
+    from vo.base.version import __version__
 
     packages = ("opencv-python-headless", "gtsam", "numba", "numpy")
     names = [f"{name.removesuffix('-python-headless')} {version(name)}" for name in packages]

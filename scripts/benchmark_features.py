@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from vo.config import load_config
-from vo.features.comparison import Comparison, compare
-from vo.features.descriptors import available_descriptors
-from vo.features.detectors import available_detectors
-from vo.features.methods import Method, fetched_methods, make_method
-from vo.laboratory.pictures import save_comparison
-from vo.laboratory.recording_pairs import plan_pairs
-from vo.sources.registry import open_source
+from vo.base.config import load_config
+from vo.engine.features.descriptors import available_descriptors
+from vo.engine.features.detectors import available_detectors
+from vo.recordings.sources.registry import open_source
+from vo.tools.laboratory.comparison import Comparison, compare
+from vo.tools.laboratory.methods import Method, fetched_methods, make_method
+from vo.tools.laboratory.pictures import save_comparison
+from vo.tools.laboratory.recording_pairs import plan_pairs
 
 GAPS = (1, 5, 15, 30)
 COUNT = 1024

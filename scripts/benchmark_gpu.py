@@ -12,12 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vo.config import FeaturesConfig, MatchingConfig
-from vo.errors import VoError
-from vo.features.extractor import make_extractor
-from vo.features.matching import make_matcher
-from vo.frontend.contracts import feature_set
-from vo.learned.inference import networks_used
+from vo.base.config import FeaturesConfig, MatchingConfig
+from vo.base.errors import VoError
+from vo.engine.features.extractor import make_extractor
+from vo.engine.features.matching import make_matcher
+from vo.engine.frontend.contracts import feature_set
+from vo.engine.learned.inference import networks_used
 
 _SIZE = 640, 384
 _COUNT = 1024

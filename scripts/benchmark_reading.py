@@ -30,7 +30,7 @@ KINDS = {
 # A separate process, so that nothing of the file is in its memory before.
 _PROGRAM = """
 import json, sys, time
-from vo.sources.registry import open_source
+from vo.recordings.sources.registry import open_source
 open_source(sys.argv[1])  # imports
 wall, cpu = time.perf_counter(), time.process_time()
 count = sum(1 for _ in open_source(sys.argv[1]).frames())

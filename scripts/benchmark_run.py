@@ -142,9 +142,9 @@ def errors_of(case: Case, out: Path, folder: Path) -> Result:
 
 
 def _evaluated(estimate: Path, folder: Path, case: Case) -> Any:
-    from vo.errors import VoError
-    from vo.evaluation.inputs import load_inputs
-    from vo.evaluation.report import evaluate
+    from vo.base.errors import VoError
+    from vo.outputs.evaluation.inputs import load_inputs
+    from vo.outputs.evaluation.report import evaluate
 
     try:
         inputs = load_inputs(estimate, folder)

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.config import load_config
-from vo.geometry.transforms import adjoint, inverse, se3_log
-from vo.run_recording import run
-from vo.sources.registry import open_source
-from vo.streaming.sink import PoseUpdate
-from vo.types import Floats, KeyframePose, Trajectory
+from vo.base.config import load_config
+from vo.base.geometry.transforms import adjoint, inverse, se3_log
+from vo.base.types import Floats, KeyframePose, Trajectory
+from vo.outputs.streaming.sink import PoseUpdate
+from vo.recordings.sources.registry import open_source
+from vo.runs.run_recording import run
 
 _AFTER_S = (0.25, 0.5, 1.0)
 PREDICTIONS_HEADING = (

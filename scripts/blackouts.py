@@ -23,9 +23,9 @@ import cv2
 import numpy as np
 from blackout_predictions import PREDICTIONS_HEADING, prediction_rows
 
-from vo.formats.trajectory import read_trajectory
-from vo.geometry.similarity import umeyama
-from vo.sources.registry import open_source
+from vo.base.geometry.similarity import umeyama
+from vo.recordings.formats.trajectory import read_trajectory
+from vo.recordings.sources.registry import open_source
 
 _FIRST_S, _PERIOD_S = 8.0, 10.0
 _GREY, _NOISE = 2.0, 1.5  # levels

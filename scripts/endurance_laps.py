@@ -17,18 +17,18 @@ import numpy as np
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe
-from vo.backend.pose_graph import PoseGraph
-from vo.config import load_config
-from vo.evaluation.ape import absolute_errors
-from vo.faults import Fault
-from vo.formats.trajectory import read_tum
-from vo.geometry.similarity import umeyama
-from vo.memory.recognition import Recognised, Recogniser
-from vo.places.records import Place, PlacedKeyframes
-from vo.run_recording import run
-from vo.sources.images import ImageKind
-from vo.sources.registry import open_source
-from vo.types import Bytes, Frame, Rig, Skipped, Trajectory
+from vo.base.config import load_config
+from vo.base.faults import Fault
+from vo.base.geometry.similarity import umeyama
+from vo.base.types import Bytes, Frame, Rig, Skipped, Trajectory
+from vo.engine.backend.pose_graph import PoseGraph
+from vo.engine.memory.recognition import Recognised, Recogniser
+from vo.engine.places.records import Place, PlacedKeyframes
+from vo.outputs.evaluation.ape import absolute_errors
+from vo.recordings.formats.trajectory import read_tum
+from vo.recordings.sources.images import ImageKind
+from vo.recordings.sources.registry import open_source
+from vo.runs.run_recording import run
 
 COLUMNS = "frame,stored,in_database,loops_found,search_s,graph_poses"
 LAPS = (

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from vo.base.config import load_config
+from vo.base.errors import ConfigError, VoError
+from vo.base.geometry.rectification import rectified_rig
 from vo.cli.app import app
 from vo.cli.report import _entries
-from vo.config import load_config
-from vo.errors import ConfigError, VoError
-from vo.formats.calibration import read_calibration
-from vo.geometry.rectification import rectified_rig
-from vo.report.page import make_page
-from vo.sources.registry import open_source
+from vo.outputs.report.page import make_page
+from vo.recordings.formats.calibration import read_calibration
+from vo.recordings.sources.registry import open_source
 
 _FRAMES = 4
 

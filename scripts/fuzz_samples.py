@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-for _folder in ("tests/sources", "tests/formats/calibration"):
+for _folder in ("tests/recordings/sources", "tests/recordings/formats/calibration"):
     sys.path.insert(0, str(ROOT / _folder))
 
 _POSES = 40
@@ -146,8 +146,8 @@ def _calibrations(root: Path) -> Iterator[Sample]:
 
 def _size_of(calibration: Path) -> tuple[int, int] | None:
     """A size of images with which a calibration is read."""
-    from vo.errors import VoError
-    from vo.formats.calibration import read_calibration
+    from vo.base.errors import VoError
+    from vo.recordings.formats.calibration import read_calibration
 
     for size in (None, *_SIZES):
         try:
@@ -174,8 +174,8 @@ def _trajectories(root: Path) -> Iterator[Sample]:
 
 
 def _runs(root: Path) -> Iterator[Sample]:
-    from vo.config import load_config
-    from vo.run_recording import run
+    from vo.base.config import load_config
+    from vo.runs.run_recording import run
 
     folder = root / "run"
     folder.mkdir()

@@ -21,10 +21,10 @@ import numpy as np
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe, recipe_folder
-from vo.formats.trajectory import read_trajectory
-from vo.geometry.similarity import umeyama
-from vo.sources.registry import open_source
-from vo.types import Floats
+from vo.base.geometry.similarity import umeyama
+from vo.base.types import Floats
+from vo.recordings.formats.trajectory import read_trajectory
+from vo.recordings.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "inertial.md"

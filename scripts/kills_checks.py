@@ -94,7 +94,7 @@ def rrd_frames(path: Path) -> int:
     """Number of frames up to the newest one in an `.rrd` file."""
     from rerun.chunk import RrdReader
 
-    from vo.recording import entities
+    from vo.outputs.recorders import entities
 
     newest = -1
     with warnings.catch_warnings():

@@ -23,13 +23,13 @@ import cv2
 import numpy as np
 from live_servers import LiveServer
 
-from vo.config import load_config
-from vo.formats.calibration import write_calibration
-from vo.results.environment import peak_rss_mb
-from vo.results.summary import Summary
-from vo.run_recording import run
-from vo.sources.registry import open_source
-from vo.types import Estimate
+from vo.base.config import load_config
+from vo.base.types import Estimate
+from vo.outputs.results.environment import peak_rss_mb
+from vo.outputs.results.summary import Summary
+from vo.recordings.formats.calibration import write_calibration
+from vo.recordings.sources.registry import open_source
+from vo.runs.run_recording import run
 
 ROOT = Path(__file__).resolve().parent.parent
 WALK = ["seconds=14", "scale=0.5", "effects.exposure=0"]

@@ -19,18 +19,18 @@ from unittest.mock import patch
 import numpy as np
 from loops import pose_at, read_truth
 
-from vo.config import Config
-from vo.geometry import sim3
-from vo.geometry.transforms import inverse, rotation_angle
-from vo.places import loop_verification
-from vo.places.image_comparison import ComparedWindows, compare_images
-from vo.places.inverted_index import InvertedIndex
-from vo.places.landmark_search import KeyframePair
-from vo.places.loop_verification import LoopVerifier
-from vo.places.map_file import MapFile
-from vo.places.records import Loop, Place
-from vo.places.vocabulary_file import built_in_vocabulary
-from vo.types import Camera, Floats
+from vo.base.config import Config
+from vo.base.geometry.transforms import inverse, rotation_angle
+from vo.base.types import Camera, Floats
+from vo.engine.geometry import sim3
+from vo.engine.places import loop_verification
+from vo.engine.places.image_comparison import ComparedWindows, compare_images
+from vo.engine.places.inverted_index import InvertedIndex
+from vo.engine.places.landmark_search import KeyframePair
+from vo.engine.places.loop_verification import LoopVerifier
+from vo.engine.places.map_file import MapFile
+from vo.engine.places.records import Loop, Place
+from vo.engine.places.vocabulary_file import built_in_vocabulary
 
 _SAME_M, _SAME_DEG, _AGAIN_S = 2.0, 30.0, 10.0
 _OTHER_M, _OTHER_DEG = 6.0, 45.0

@@ -29,9 +29,9 @@ import numpy as np
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe, recipe_folder
-from vo.formats.trajectory import read_trajectory
-from vo.geometry.transforms import inverse, rotation_angle
-from vo.types import Floats
+from vo.base.geometry.transforms import inverse, rotation_angle
+from vo.base.types import Floats
+from vo.recordings.formats.trajectory import read_trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "memory.md"
@@ -73,8 +73,8 @@ _TEXT_COLUMNS = 2
 _COST_PROGRAM = """
 import functools, sys, time
 from vo.cli.entry import main
-from vo.memory.memory import Memory
-from vo.memory.recognition import Recogniser
+from vo.engine.memory.memory import Memory
+from vo.engine.memory.recognition import Recogniser
 spent = []
 def measured(function):
     @functools.wraps(function)

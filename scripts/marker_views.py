@@ -7,11 +7,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vo.geometry.cameras import distort, normalise
-from vo.geometry.transforms import make_transform
-from vo.markers.dictionaries import dictionary
-from vo.markers.plane_pose import square_points
-from vo.types import Bytes, Camera, Floats
+from vo.base.geometry.cameras import distort, normalise
+from vo.base.geometry.transforms import make_transform
+from vo.base.types import Bytes, Camera, Floats
+from vo.engine.markers.dictionaries import dictionary
+from vo.engine.markers.plane_pose import square_points
 
 SUPERSAMPLING = 4
 

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from marker_views import Placed, developed, looking_at, random_background, render
 
-from vo.geometry.transforms import inverse, rotation_angle, se3_log
-from vo.markers.detection import MarkerDetector, Refinement
-from vo.markers.dictionaries import CANDIDATES, dictionary_name
-from vo.markers.search import MarkerFinder
-from vo.types import Camera, Floats
+from vo.base.geometry.transforms import inverse, rotation_angle, se3_log
+from vo.base.types import Camera, Floats
+from vo.engine.markers.dictionaries import CANDIDATES, dictionary_name
+from vo.tools.markers.detection import MarkerDetector, Refinement
+from vo.tools.markers.search import MarkerFinder
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 LENGTH_M = 0.16

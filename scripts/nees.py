@@ -19,17 +19,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from vo.backend.covariance import propagated
-from vo.backend.sliding_window import SlidingWindow, Window
-from vo.backend.solution import WindowSolution
-from vo.config import Config, load_config
-from vo.evaluation.association import associate
-from vo.geometry.rectification import rectified_rig
-from vo.geometry.transforms import adjoint, inverse, se3_log
-from vo.mapping.keyframe import Keyframe
-from vo.odometry import Odometry
-from vo.sources.registry import open_source
-from vo.types import Floats, Ints, KeyframePose, Mode, Trajectory
+from vo.base.config import Config, load_config
+from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.transforms import adjoint, inverse, se3_log
+from vo.base.types import Floats, Ints, KeyframePose, Mode, Trajectory
+from vo.engine.backend.covariance import propagated
+from vo.engine.backend.sliding_window import SlidingWindow, Window
+from vo.engine.backend.solution import WindowSolution
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.odometry import Odometry
+from vo.outputs.evaluation.association import associate
+from vo.recordings.sources.registry import open_source
 
 STEPS = (1, 5, 20)
 MIN_KEYFRAMES = 10  # shorter segments are skipped

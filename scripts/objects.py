@@ -19,16 +19,16 @@ import cv2
 import numpy as np
 from objects_scenes import LIGHTS, Scene, SceneOptions, TrueObject, make_objects, make_scene
 
-from vo.errors import VoError
-from vo.objects.confidence import THRESHOLD, evidence
-from vo.objects.database import DETECTOR, ObjectDatabase
-from vo.objects.flat_verification import FlatInstance
-from vo.objects.overlap import without_overlaps
-from vo.objects.records import FoundObject
-from vo.scheduling import available_cores
-from vo.sources.listing import IMAGE_SUFFIXES
-from vo.sources.single_image import read_single_image
-from vo.types import Floats
+from vo.base.errors import VoError
+from vo.base.scheduling import available_cores
+from vo.base.types import Floats
+from vo.recordings.sources.listing import IMAGE_SUFFIXES
+from vo.recordings.sources.single_image import read_single_image
+from vo.tools.objects.confidence import THRESHOLD, evidence
+from vo.tools.objects.database import DETECTOR, ObjectDatabase
+from vo.tools.objects.flat_verification import FlatInstance
+from vo.tools.objects.overlap import without_overlaps
+from vo.tools.objects.records import FoundObject
 
 COVERS = ((0.0, 0.0), (0.0, 0.3), (0.3, 0.5))
 _RANGES: dict[str, tuple[float, ...]] = {

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_synth.scene.builder import Rng
 from data_synth.worlds import prints, textures
-from vo.types import Bools, Bytes, Camera, Floats, Floats32
+from vo.base.types import Bools, Bytes, Camera, Floats, Floats32
 
 CAMERA = Camera(1280, 960, 1200.0, 1200.0, 639.5, 479.5)
 LIGHTS = ("plain", "dark", "bright", "gradient", "lamp", "flat")

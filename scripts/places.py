@@ -13,11 +13,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from vo.mapping.keyframe import FrameId
-from vo.places.database import KeyframeDatabase
-from vo.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
-from vo.places.vocabulary_file import built_in_vocabulary
-from vo.types import Bytes
+from vo.base.types import Bytes
+from vo.engine.mapping.keyframe import FrameId
+from vo.engine.places.database import KeyframeDatabase
+from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
+from vo.engine.places.vocabulary_file import built_in_vocabulary
 
 FEATURES, NEW_FEATURES, LANDMARKS, NEW_LANDMARKS = 1500, 400, 300, 80
 FLIPPED_BITS = 8

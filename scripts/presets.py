@@ -1,4 +1,4 @@
-"""Writes configs/*.yaml from the settings in vo/config.py, every key with a comment.
+"""Writes configs/*.yaml from the settings in vo/base/config.py, every key with a comment.
 
 Run it after a change of a setting or a preset; a test checks that the files are up to date.
 """
@@ -13,8 +13,8 @@ import yaml
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from vo.config import Config
-from vo.settings import is_expert
+from vo.base.config import Config
+from vo.base.settings import is_expert
 
 FOLDER = Path(__file__).resolve().parent.parent / "configs"
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe, recipe_names
-from vo.geometry.cameras import normalise
-from vo.sources.registry import open_source
-from vo.types import Bytes, Camera
+from vo.base.geometry.cameras import normalise
+from vo.base.types import Bytes, Camera
+from vo.recordings.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "synth.md"

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.config import FeaturesConfig
-from vo.features.extractor import make_extractor
-from vo.places.inverted_index import InvertedIndex
-from vo.places.vocabulary_file import built_in_vocabulary, read_vocabulary
-from vo.sources.registry import open_source
+from vo.base.config import FeaturesConfig
+from vo.engine.features.extractor import make_extractor
+from vo.engine.places.inverted_index import InvertedIndex
+from vo.engine.places.vocabulary_file import built_in_vocabulary, read_vocabulary
+from vo.recordings.sources.registry import open_source
 
 MAX_M, MAX_DEG, GAP_S = 2.0, 30.0, 10.0
 

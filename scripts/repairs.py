@@ -19,14 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.backend.pose_graph import PoseGraph
-from vo.geometry import sim3
-from vo.places.database import KeyframeDatabase
-from vo.places.map_file import MapFile
-from vo.places.records import Loop, Place, PlacedKeyframes
-from vo.places.repair_check import unconfirmed_repairs
-from vo.places.vocabulary_file import built_in_vocabulary
-from vo.types import Camera, Floats
+from vo.base.types import Camera, Floats
+from vo.engine.backend.pose_graph import PoseGraph
+from vo.engine.geometry import sim3
+from vo.engine.places.database import KeyframeDatabase
+from vo.engine.places.map_file import MapFile
+from vo.engine.places.records import Loop, Place, PlacedKeyframes
+from vo.engine.places.repair_check import unconfirmed_repairs
+from vo.engine.places.vocabulary_file import built_in_vocabulary
 
 _LOOPS = 10
 _ROTATION_RAD, _STEPS = 0.25, 1.5  # standard deviations, as the pose graph has them

@@ -22,7 +22,7 @@ from robustness_clips import Clip, Clips, true_poses, write_euroc
 from robustness_run import Outcome, max_ate_m, run
 from robustness_table import CleanRow, Row, clean_line, document, line
 
-from vo.sources.registry import open_source
+from vo.recordings.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "robustness.md"

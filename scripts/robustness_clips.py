@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import yaml
 
-from vo.formats.trajectory import write_tum
-from vo.sources.registry import open_source
-from vo.types import Floats, Ints, Rig, Trajectory
+from vo.base.types import Floats, Ints, Rig, Trajectory
+from vo.recordings.formats.trajectory import write_tum
+from vo.recordings.sources.registry import open_source
 
 Image = Any  # (H, W) uint8 or uint16
 ImageMap = Callable[[Image, int, int], Image | None]  # image, camera, frame

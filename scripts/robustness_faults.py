@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from robustness_clips import Clip, Fault, Image
 
-from vo.geometry.transforms import so3_exp
-from vo.types import Camera, Floats, Rig
+from vo.base.geometry.transforms import so3_exp
+from vo.base.types import Camera, Floats, Rig
 
 
 def chain(*faults: Fault) -> Fault:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from robustness_clips import Clip, Fault, Image
 
-from vo.types import Floats
+from vo.base.types import Floats
 
 _MARGIN = 200  # columns of an overlay beyond the image, for its disparity
 _BODY_M = 0.5  # distance of the vehicle's own body

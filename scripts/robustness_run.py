@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 _MIN_POSES = 3  # of a segment, to align it
 _TIMEOUT_S = 1200

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 import vo
-from vo.placed_frames import PlacedFrames
-from vo.scaling.position_source import PositionSource
-from vo.scaling.positions import Positions
-from vo.types import Floats, Trajectory
+from vo.base.records.placed_frames import PlacedFrames
+from vo.base.types import Floats, Trajectory
+from vo.runs.scaling.position_source import PositionSource
+from vo.runs.scaling.positions import Positions
 
 NOISE_M = 2.0
 CORRELATED_S = 10.0

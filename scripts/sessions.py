@@ -19,9 +19,9 @@ import numpy as np
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe
-from vo.formats.trajectory import read_tum
-from vo.geometry.similarity import umeyama
-from vo.types import Floats, Ints
+from vo.base.geometry.similarity import umeyama
+from vo.base.types import Floats, Ints
+from vo.recordings.formats.trajectory import read_tum
 
 ROOT = Path(__file__).resolve().parent.parent
 COURSES = {

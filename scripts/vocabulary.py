@@ -11,8 +11,8 @@ from pathlib import Path
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import Recipe, load_recipe
-from vo.laboratory.vocabulary_training import train_on
-from vo.places.vocabulary_file import BUILT_IN, write_vocabulary
+from vo.engine.places.vocabulary_file import BUILT_IN, write_vocabulary
+from vo.tools.laboratory.vocabulary_training import train_on
 
 SEED = 900_001  # of the first recording; tests and benchmarks use small numbers
 SECONDS = 60

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from vo.compiling.processor import use_common_instructions
+from vo.base.compiling.processor import use_common_instructions
 
 # A job in the background of a shell has Ctrl-C ignored, and so would the programs tested here.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -35,7 +35,7 @@ def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from data_synth.plan import make_plan
     from data_synth.recipe import load_recipe
     from data_synth.writers import euroc
-    from vo.types import Trajectory
+    from vo.base.types import Trajectory
 
     settings = ["motion=handheld", "seconds=4", "speed=1.5", "scale=0.625", "effects.exposure=0"]
     plan = make_plan(load_recipe("demo", settings))

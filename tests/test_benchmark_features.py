@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from vo.features.descriptors import DESCRIPTORS
-from vo.features.detectors import DETECTORS
+from vo.engine.features.descriptors import DESCRIPTORS
+from vo.engine.features.detectors import DETECTORS
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -16,12 +16,12 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[1]
 NEEDS_EXTRA = {
-    "vo.formats.ros2": "rosbags",
-    "vo.formats.ros_reading": "rosbags",
-    "vo.sources.live.pyav_device": "av",
-    "vo.sources.logs.video": "av",
-    "vo.sources.video": "av",
-    "vo.sources.video_index": "av",
+    "vo.recordings.formats.ros2": "rosbags",
+    "vo.recordings.formats.ros_reading": "rosbags",
+    "vo.recordings.sources.live.pyav_device": "av",
+    "vo.recordings.sources.logs.video": "av",
+    "vo.recordings.sources.video": "av",
+    "vo.recordings.sources.video_index": "av",
 }
 """Modules that import an optional package at their top; others import them inside functions."""
 

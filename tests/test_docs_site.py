@@ -34,12 +34,12 @@ def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
 def test_links_that_leave_the_docs_lead_to_the_repository() -> None:
     text = (
         "[a](../LICENSE) [b](outputs.md#x) [c](https://example.org) ![d](images/synth.jpg)\n"
-        "[e](../vo/sources) [f](../configs/default.yaml#L3) [g](#here)"
+        "[e](../vo/recordings/sources) [f](../configs/default.yaml#L3) [g](#here)"
     )
     expected = (
         f"[a]({REPOSITORY}/blob/main/LICENSE) [b](outputs.md#x) [c](https://example.org) "
         "![d](images/synth.jpg)\n"
-        f"[e]({REPOSITORY}/tree/main/vo/sources) "
+        f"[e]({REPOSITORY}/tree/main/vo/recordings/sources) "
         f"[f]({REPOSITORY}/blob/main/configs/default.yaml#L3) [g](#here)"
     )
     assert with_absolute_links(text, "commands.md", ROOT / "docs", REPOSITORY) == expected

@@ -7,7 +7,7 @@ import time
 import pytest
 from live_run import Consumer, Phase, Sample, judged
 
-from vo.types import Estimate, State
+from vo.base.types import Estimate, State
 
 TOLD = ["90 images of the camera dropped (10%)"]
 

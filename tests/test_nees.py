@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vo.config import load_config
-from vo.geometry.transforms import inverse, se3_exp
-from vo.types import Floats, KeyframePose
+from vo.base.config import load_config
+from vo.base.geometry.transforms import inverse, se3_exp
+from vo.base.types import Floats, KeyframePose
 
 SIGMA = 0.01
 

@@ -85,7 +85,7 @@ def test_the_wheel_works_from_another_folder(wheel: Path, tmp_path: Path) -> Non
     code = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "import vo, data_synth\n"
-        "from vo.config import load_config\n"
+        "from vo.base.config import load_config\n"
         "load_config('fast')\n"
         "print(vo.__version__, vo.__file__, data_synth.__file__, sep='\\n')"
     )

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vo.geometry.transforms import so3_exp
-from vo.types import Floats
+from vo.base.geometry.transforms import so3_exp
+from vo.base.types import Floats
 
 MODULES = ("robustness_cases", "robustness_run", "robustness_table", "robustness_clips")
 
@@ -36,7 +36,7 @@ def truth() -> Floats:
 
 
 def poses_csv(path: Path, positions: Floats, segments: Floats | None = None) -> Path:
-    from vo.results.poses import POSES_HEADING
+    from vo.outputs.results.poses import POSES_HEADING
 
     numbers = np.zeros(len(positions)) if segments is None else segments
     rows = [

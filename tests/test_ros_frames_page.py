@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from vo.types import Floats
+from vo.base.types import Floats
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "ros-frames.md"
 SAMPLES = 200_000

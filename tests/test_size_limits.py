@@ -61,7 +61,7 @@ def test_project_keeps_the_size_limits() -> None:
 
 
 def test_the_odometry_can_be_read_at_once() -> None:
-    lines = (ROOT / "vo" / "odometry.py").read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / "vo" / "engine" / "odometry.py").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= MAX_ODOMETRY_LINES
 
 

@@ -7,7 +7,7 @@ import re
 from functools import cache
 from pathlib import Path
 
-from vo.faults import FaultKind
+from vo.base.faults import FaultKind
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "troubleshooting.md"

@@ -9,20 +9,18 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from vo.compiling.processor import use_common_instructions
-from vo.version import __version__
+from vo.base.compiling.processor import use_common_instructions
+from vo.base.version import __version__
 
 if TYPE_CHECKING:
-    from vo import features
-    from vo.api import maps
+    from vo.api import features, maps
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
     from vo.api.matching import match
     from vo.api.objects import ObjectDatabase
     from vo.api.odometry import Odometry
-    from vo.calibration_errors import CalibrationErrors
-    from vo.config import Config, load_config
-    from vo.errors import (
+    from vo.base.config import Config, load_config
+    from vo.base.errors import (
         CalibrationError,
         ConfigError,
         EvaluationError,
@@ -31,78 +29,88 @@ if TYPE_CHECKING:
         SourceError,
         VoError,
     )
-    from vo.evaluation.report import Evaluation
-    from vo.failures import Failure, FailureReason
-    from vo.faults import Fault, FaultKind
-    from vo.formats.calibration import Calibration, read_calibration, write_calibration
-    from vo.formats.trajectory import read_trajectory
-    from vo.formats.trajectory import write_tum as write_trajectory
-    from vo.geometry.transforms import quat_xyzw_from_rotation
-    from vo.markers.records import Marker, PlanePose
-    from vo.metric_scale import MetricScale, ScaleFindings, ScaleSource
-    from vo.objects.records import FoundObject
-    from vo.recording.exports import Exports
-    from vo.rendering.render import Rendered, RenderOptions, render
-    from vo.results.summary import Summary
-    from vo.sources.registry import open_source as open
-    from vo.sources.source import FrameStream, Recording
-    from vo.stages import Components
-    from vo.types import Camera, Estimate, Frame, KeyframePose, Rig, Snapshot, State, Trajectory
+    from vo.base.failures import Failure, FailureReason
+    from vo.base.faults import Fault, FaultKind
+    from vo.base.geometry.transforms import quat_xyzw_from_rotation
+    from vo.base.records.calibration_errors import CalibrationErrors
+    from vo.base.records.metric_scale import MetricScale, ScaleFindings, ScaleSource
+    from vo.base.types import (
+        Camera,
+        Estimate,
+        Frame,
+        KeyframePose,
+        Rig,
+        Snapshot,
+        State,
+        Trajectory,
+    )
+    from vo.engine.markers.records import Marker, PlanePose
+    from vo.engine.stages import Components
+    from vo.outputs.evaluation.report import Evaluation
+    from vo.outputs.recorders.exports import Exports
+    from vo.outputs.results.summary import Summary
+    from vo.recordings.formats.calibration import Calibration, read_calibration, write_calibration
+    from vo.recordings.formats.trajectory import read_trajectory
+    from vo.recordings.formats.trajectory import write_tum as write_trajectory
+    from vo.recordings.sources.registry import open_source as open
+    from vo.recordings.sources.source import FrameStream, Recording
+    from vo.tools.objects.records import FoundObject
+    from vo.tools.rendering.render import Rendered, RenderOptions, render
 
 # Where each public name is defined, and its name there; imported when it is first used.
 _DEFINED_IN = {
-    "CalibrationError": "vo.errors:CalibrationError",
-    "CalibrationErrors": "vo.calibration_errors:CalibrationErrors",
-    "Calibration": "vo.formats.calibration:Calibration",
-    "Camera": "vo.types:Camera",
-    "Components": "vo.stages:Components",
-    "Config": "vo.config:Config",
-    "ConfigError": "vo.errors:ConfigError",
-    "Estimate": "vo.types:Estimate",
-    "Evaluation": "vo.evaluation.report:Evaluation",
-    "EvaluationError": "vo.errors:EvaluationError",
-    "Exports": "vo.recording.exports:Exports",
-    "Failure": "vo.failures:Failure",
-    "FailureReason": "vo.failures:FailureReason",
-    "Fault": "vo.faults:Fault",
-    "FaultKind": "vo.faults:FaultKind",
-    "FoundObject": "vo.objects.records:FoundObject",
-    "Frame": "vo.types:Frame",
-    "FrameStream": "vo.sources.source:FrameStream",
-    "InputError": "vo.errors:InputError",
-    "KeyframePose": "vo.types:KeyframePose",
-    "Marker": "vo.markers.records:Marker",
-    "MetricScale": "vo.metric_scale:MetricScale",
+    "CalibrationError": "vo.base.errors:CalibrationError",
+    "CalibrationErrors": "vo.base.records.calibration_errors:CalibrationErrors",
+    "Calibration": "vo.recordings.formats.calibration:Calibration",
+    "Camera": "vo.base.types:Camera",
+    "Components": "vo.engine.stages:Components",
+    "Config": "vo.base.config:Config",
+    "ConfigError": "vo.base.errors:ConfigError",
+    "Estimate": "vo.base.types:Estimate",
+    "Evaluation": "vo.outputs.evaluation.report:Evaluation",
+    "EvaluationError": "vo.base.errors:EvaluationError",
+    "Exports": "vo.outputs.recorders.exports:Exports",
+    "Failure": "vo.base.failures:Failure",
+    "FailureReason": "vo.base.failures:FailureReason",
+    "Fault": "vo.base.faults:Fault",
+    "FaultKind": "vo.base.faults:FaultKind",
+    "FoundObject": "vo.tools.objects.records:FoundObject",
+    "Frame": "vo.base.types:Frame",
+    "FrameStream": "vo.recordings.sources.source:FrameStream",
+    "InputError": "vo.base.errors:InputError",
+    "KeyframePose": "vo.base.types:KeyframePose",
+    "Marker": "vo.engine.markers.records:Marker",
+    "MetricScale": "vo.base.records.metric_scale:MetricScale",
     "ObjectDatabase": "vo.api.objects:ObjectDatabase",
     "Odometry": "vo.api.odometry:Odometry",
-    "OutputError": "vo.errors:OutputError",
-    "PlanePose": "vo.markers.records:PlanePose",
-    "Recording": "vo.sources.source:Recording",
-    "RenderOptions": "vo.rendering.render:RenderOptions",
-    "Rendered": "vo.rendering.render:Rendered",
-    "Rig": "vo.types:Rig",
-    "ScaleFindings": "vo.metric_scale:ScaleFindings",
-    "ScaleSource": "vo.metric_scale:ScaleSource",
-    "Snapshot": "vo.types:Snapshot",
-    "SourceError": "vo.errors:SourceError",
-    "State": "vo.types:State",
-    "Summary": "vo.results.summary:Summary",
-    "Trajectory": "vo.types:Trajectory",
-    "VoError": "vo.errors:VoError",
+    "OutputError": "vo.base.errors:OutputError",
+    "PlanePose": "vo.engine.markers.records:PlanePose",
+    "Recording": "vo.recordings.sources.source:Recording",
+    "RenderOptions": "vo.tools.rendering.render:RenderOptions",
+    "Rendered": "vo.tools.rendering.render:Rendered",
+    "Rig": "vo.base.types:Rig",
+    "ScaleFindings": "vo.base.records.metric_scale:ScaleFindings",
+    "ScaleSource": "vo.base.records.metric_scale:ScaleSource",
+    "Snapshot": "vo.base.types:Snapshot",
+    "SourceError": "vo.base.errors:SourceError",
+    "State": "vo.base.types:State",
+    "Summary": "vo.outputs.results.summary:Summary",
+    "Trajectory": "vo.base.types:Trajectory",
+    "VoError": "vo.base.errors:VoError",
     "evaluate": "vo.api.functions:evaluate",
-    "features": "vo.features",
+    "features": "vo.api.features",
     "find_markers": "vo.api.markers:find_markers",
-    "load_config": "vo.config:load_config",
+    "load_config": "vo.base.config:load_config",
     "maps": "vo.api.maps",
     "match": "vo.api.matching:match",
-    "open": "vo.sources.registry:open_source",
-    "quat_xyzw_from_rotation": "vo.geometry.transforms:quat_xyzw_from_rotation",
-    "read_calibration": "vo.formats.calibration:read_calibration",
-    "read_trajectory": "vo.formats.trajectory:read_trajectory",
-    "render": "vo.rendering.render:render",
+    "open": "vo.recordings.sources.registry:open_source",
+    "quat_xyzw_from_rotation": "vo.base.geometry.transforms:quat_xyzw_from_rotation",
+    "read_calibration": "vo.recordings.formats.calibration:read_calibration",
+    "read_trajectory": "vo.recordings.formats.trajectory:read_trajectory",
+    "render": "vo.tools.rendering.render:render",
     "run": "vo.api.functions:run",
-    "write_calibration": "vo.formats.calibration:write_calibration",
-    "write_trajectory": "vo.formats.trajectory:write_tum",
+    "write_calibration": "vo.recordings.formats.calibration:write_calibration",
+    "write_trajectory": "vo.recordings.formats.trajectory:write_tum",
 }
 
 __all__ = [

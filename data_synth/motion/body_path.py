@@ -6,7 +6,7 @@ import numpy as np
 
 from data_synth.motion.route import Route, make_route
 from data_synth.scene.scene import Body, Heights
-from vo.types import Floats
+from vo.base.types import Floats
 
 _SLOPE_STEP_M = 0.05
 

@@ -14,7 +14,7 @@ from data_synth.motion.limits import Carrier
 from data_synth.motion.motion_profile import MotionProfile
 from data_synth.motion.smoothing import wander
 from data_synth.records import GRAVITY_M_S2
-from vo.types import Floats
+from vo.base.types import Floats
 
 _STEPS_HZ = 1.8
 _BOB_M, _SWAY_M = 0.018, 0.02

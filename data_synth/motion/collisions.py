@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.motion.spline import PosePath
-from vo.types import Floats
+from vo.base.types import Floats
 
 Clearance = Callable[[Floats], Floats]
 

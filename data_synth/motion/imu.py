@@ -6,7 +6,7 @@ import numpy as np
 
 from data_synth.motion.spline import PosePath
 from data_synth.records import GRAVITY_M_S2, BodyTruth, Imu
-from vo.types import Floats, ImuNoise, Ints
+from vo.base.types import Floats, ImuNoise, Ints
 
 _MARGIN_NS = 100_000_000  # before the first frame and after the last
 _SEED_GYRO, _SEED_ACCEL = 31, 32

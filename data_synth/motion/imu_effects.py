@@ -12,8 +12,8 @@ import numpy as np
 
 from data_synth.recipe import ImuRecipe
 from data_synth.records import GRAVITY_M_S2, Imu
-from vo.geometry.transforms import make_transform, so3_exp
-from vo.types import Floats
+from vo.base.geometry.transforms import make_transform, so3_exp
+from vo.base.types import Floats
 
 _VIBRATION_M_S2, _VIBRATION_RAD_S = 2.0, 0.03
 _VIBRATION_HZ = (85.0, 170.0, 110.0)  # two rotors with a harmonic; aliased by slow sensors

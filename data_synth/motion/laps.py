@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from data_synth.recipe import LapName
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 def route_of_laps(waypoints: Floats, laps: Sequence[LapName], aside_m: float) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_synth.recipe import MotionName
 from data_synth.scene.scene import Course
-from vo.types import Floats
+from vo.base.types import Floats
 
 Carrier = Literal["car", "robot", "handheld", "drone", "drone_indoors", "rotate"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from data_synth.motion.route import Route
 from data_synth.motion.smoothing import smoothed
 from data_synth.motion.speed_profile import Schedule
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,9 +24,9 @@ from data_synth.motion.speed_profile import Schedule, make_speed_profile
 from data_synth.motion.spline import BODY_FROM_LOOKING_AHEAD, PosePath
 from data_synth.recipe import LapName, MotionName
 from data_synth.scene.scene import Course
-from vo.errors import ConfigError
-from vo.geometry.transforms import make_transform
-from vo.types import Floats
+from vo.base.errors import ConfigError
+from vo.base.geometry.transforms import make_transform
+from vo.base.types import Floats
 
 _STEP_S = 0.05
 _LEAD = 14  # controls before the start and after the end, for 0.6 s

@@ -9,8 +9,8 @@ import numpy as np
 from data_synth.motion.smoothing import smoothed_closed
 from data_synth.motion.spline import bspline
 from data_synth.scene.scene import Heights
-from vo.errors import ConfigError
-from vo.types import Floats
+from vo.base.errors import ConfigError
+from vo.base.types import Floats
 
 _STEP_M = 0.03
 _MAX_STEPS = 40_000

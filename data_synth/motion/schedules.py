@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from data_synth.motion.speed_profile import Schedule, SpeedProfile, chain, leg, rest
-from vo.errors import ConfigError
+from vo.base.errors import ConfigError
 
 # Extra time for smoothing, and for the inertial samples after the last frame.
 _BEYOND_S = 6.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 def smoothed_closed(values: Floats, width: float) -> Floats:

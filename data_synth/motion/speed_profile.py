@@ -8,7 +8,7 @@ import numpy as np
 
 from data_synth.motion.limits import Limits
 from data_synth.motion.route import Route
-from vo.types import Floats
+from vo.base.types import Floats
 
 # Fraction of the limits for the plan; the rest is for easing, bumps and rounding.
 _PLANNED = 0.75

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vo.types import Floats
+from vo.base.types import Floats
 
 # Basis of the uniform cubic B-spline; rows are powers 1, s, s², s³ of the position between knots.
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0

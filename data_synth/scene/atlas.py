@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.types import Bytes, Floats32, Ints
+from vo.base.types import Bytes, Floats32, Ints
 
 LEVELS = 11
 

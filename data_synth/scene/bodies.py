@@ -6,7 +6,7 @@ import numpy as np
 
 from data_synth.scene.kernels.baking import light_movers
 from data_synth.scene.world import World
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> World:

@@ -9,7 +9,7 @@ import numpy as np
 
 from data_synth.scene.solids import Ground, Kind, Solid
 from data_synth.scene.world import World, build_world
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 Rng = np.random.Generator
 Painter = Callable[[Rng, tuple[int, int]], Floats32]

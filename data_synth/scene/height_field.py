@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data_synth.scene.solids import Ground
-from vo.types import Floats, Floats32, Ints
+from vo.base.types import Floats, Floats32, Ints
 
 STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures, so that their sum does not repeat
 

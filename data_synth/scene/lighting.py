@@ -11,7 +11,7 @@ from data_synth.scene.height_field import HeightField
 from data_synth.scene.kernels.baking import bake_faces, bake_ground
 from data_synth.scene.solids import Lamp, Lighting
 from data_synth.scene.world import Lights, Sources, World
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 _LAMP_GRID = 4
 _SKY_RAYS = 24

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 
 def soft_noise(side: int, slope: float, seed: int) -> Floats32:

@@ -21,8 +21,8 @@ from data_synth.scene.kernels.records import BAND_ROWS, Sampling, View
 from data_synth.scene.sampling import sample_offsets
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.geometry.cameras import normalise
-from vo.types import Camera, Floats, Floats32
+from vo.base.geometry.cameras import normalise
+from vo.base.types import Camera, Floats, Floats32
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 COUNTS = (6, 8, 12, 16, 24, 32)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.scene.world import World
-from vo.types import Floats
+from vo.base.types import Floats
 
 Heights = Callable[[Floats], Floats]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.types import Floats
+from vo.base.types import Floats
 
 _STEP_S = 2e-3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 
 class Kind(IntEnum):

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 
 class Tree(NamedTuple):

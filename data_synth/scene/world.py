@@ -17,7 +17,7 @@ from data_synth.scene.height_field import (
 from data_synth.scene.noise import soft_noise
 from data_synth.scene.solids import Ground, Kind, Solid
 from data_synth.scene.tree import Tree, build_tree
-from vo.types import Bools, Floats, Floats32, Ints
+from vo.base.types import Bools, Floats, Floats32, Ints
 
 _STAIN_TEXELS_PER_M = 12.0
 _STAIN_SIDE = 512

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.types import Floats
+from vo.base.types import Floats
 
 _WANDER = 1.3
 _PERIODS_S = (7.0, 11.0, 19.0)

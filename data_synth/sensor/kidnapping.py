@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.recipe import Effects
-from vo.types import Bools, Floats
+from vo.base.types import Bools, Floats
 
 _AWAY = 0.25  # fraction of the recording that is spent elsewhere
 _FIRST = 0.45  # of each part of the recording, before the camera is carried away

@@ -9,8 +9,8 @@ import numpy as np
 
 from data_synth.recipe import Effects
 from data_synth.sensor.exposure import Settings, grey_exponent
-from vo.compiling.function import compiled
-from vo.types import Bytes, Camera, Floats32
+from vo.base.compiling.function import compiled
+from vo.base.types import Bytes, Camera, Floats32
 
 FULL_WELL = 8000.0  # electrons at full scale and gain 1
 _READ_BEFORE_GAIN = 0.4  # grey levels

@@ -8,7 +8,7 @@ import numpy as np
 
 from data_synth.recipe import Effects
 from data_synth.sensor.illumination import dark_intervals, drifting_light
-from vo.types import Bools, Floats, Ints
+from vo.base.types import Bools, Floats, Ints
 
 _JITTER_NS = 0.5e6
 _OWN_JITTER = 0.3  # fraction of the deviation that the cameras of a pair do not share

@@ -14,7 +14,7 @@ import numpy as np
 from data_synth.scene.builder import Builder, Point
 from data_synth.scene.solids import Kind
 from data_synth.worlds import indoor_textures, prints, textures
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 @dataclass

@@ -12,7 +12,7 @@ from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Kind, Lamp, Lighting, Solid
 from data_synth.worlds import bodies, fittings, indoor_textures, prints
 from data_synth.worlds.fittings import Wall
-from vo.types import Floats
+from vo.base.types import Floats
 
 WIDTH_M, HEIGHT_M = 2.4, 2.7
 HALF_WIDTH_M = 0.55

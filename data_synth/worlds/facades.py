@@ -12,7 +12,7 @@ import numpy as np
 from data_synth.scene.builder import Builder, Rng
 from data_synth.worlds import outdoor_textures
 from data_synth.worlds.textures import clipped, noise
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 Wall = Literal["render", "brick", "concrete"]
 Ground = Literal["shop", "flat"]

@@ -7,7 +7,7 @@ import numpy as np
 
 from data_synth.scene.builder import Rng
 from data_synth.worlds.textures import clipped, crack, noise, specks
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 _WORDS = (
     "BAKERY",

@@ -8,7 +8,7 @@ import numpy as np
 
 from data_synth.scene.builder import Builder, Rng
 from data_synth.worlds import outdoor_textures as paint
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 
 def shade(value: float) -> Floats32:

@@ -10,7 +10,7 @@ import numpy as np
 
 from data_synth.scene.builder import Rng
 from data_synth.worlds.textures import clipped, noise, poster, specks, word
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 
 def sign(rng: Rng, shape: tuple[int, int], text: str, dark_ground: bool = False) -> Floats32:

@@ -16,7 +16,7 @@ from data_synth.worlds.street_ground import lay_ground, lay_pavement
 from data_synth.worlds.street_sides import Fronts, no_fronts, row_of_houses, verge
 from data_synth.worlds.trees import tree
 from data_synth.worlds.vehicles import Paint
-from vo.types import Floats
+from vo.base.types import Floats
 
 _SEED = 30  # of this world, in addition to the seed of the recording
 _USUAL_CARS, _USUAL_PEOPLE = 5, 8

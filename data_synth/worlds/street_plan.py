@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.scene.builder import Place
-from vo.types import Floats
+from vo.base.types import Floats
 
 HALF_X_M, HALF_Y_M = 75.0, 45.0  # of the rectangle of the streets' middle lines
 LANE_M, KERB_M, BAY_M, FRONT_M = 2.0, 4.0, 6.0, 9.5

@@ -16,7 +16,7 @@ from data_synth.worlds.street_ground import lay_bay, lay_kerb_extension
 from data_synth.worlds.street_plan import Frontage
 from data_synth.worlds.trees import bush, hedge, tree
 from data_synth.worlds.vehicles import Paint, car, van
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 _BAY_MIDDLE_M = -layout.PAVEMENT_M - (layout.BAY_M - layout.KERB_M) / 2
 _NEAR_KERB_M = -layout.PAVEMENT_M - (layout.BAY_M - layout.KERB_M) + 0.55

@@ -22,7 +22,7 @@ from data_synth.worlds.palette import Palette, paint_palette
 from data_synth.worlds.terrain_land import Line, paint_land, roll_hills
 from data_synth.worlds.trees import bush, tree
 from data_synth.worlds.vehicles import Paint
-from vo.types import Bools, Floats
+from vo.base.types import Bools, Floats
 
 _SEED = 40  # of this world, in addition to the seed of the recording
 _USUAL_CARS, _USUAL_PEOPLE = 4, 4

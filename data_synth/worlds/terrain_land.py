@@ -9,7 +9,7 @@ import numpy as np
 
 from data_synth.scene.builder import Rng
 from data_synth.worlds.textures import clipped, noise
-from vo.types import Bytes, Floats, Floats32, Ints
+from vo.base.types import Bytes, Floats, Floats32, Ints
 
 SIDE_M, CELL_M = 400.0, 1.25
 RIM_M = -3.0  # height of the ground at its border, and beyond

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from data_synth.scene.builder import Rng
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 _LETTERS = np.array(list(string.ascii_uppercase + string.digits))
 

@@ -13,7 +13,7 @@ from data_synth.scene.solids import Kind
 from data_synth.worlds.outdoor_textures import title
 from data_synth.worlds.palette import Palette
 from data_synth.worlds.textures import clipped, noise
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 CAR_LENGTH_M, CAR_WIDTH_M = 4.3, 1.76
 VAN_LENGTH_M, VAN_WIDTH_M = 5.2, 1.95

@@ -11,7 +11,7 @@ from data_synth.scene.lighting import bake_lighting, light_of_session
 from data_synth.scene.scene import Body, Course, Scene, flat_ground
 from data_synth.scene.solids import Lighting
 from data_synth.worlds import bodies, hall, prints, racks
-from vo.types import Floats
+from vo.base.types import Floats
 
 HALF_WIDTH_M = 1.0
 _BAYS = 4

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from data_synth.records import Pixels, Shot
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 FRAMES_AHEAD = 3
 """Frames in memory besides the one in use."""

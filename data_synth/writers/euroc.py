@@ -19,10 +19,10 @@ from data_synth.writers.tables import (
     written_stamps,
     written_truth,
 )
-from vo.formats.calibration import write_calibration
-from vo.formats.trajectory import write_tum
-from vo.geometry.transforms import inverse
-from vo.types import Floats
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Floats
+from vo.recordings.formats.calibration import write_calibration
+from vo.recordings.formats.trajectory import write_tum
 
 _DISTORTION = {"none": "radial-tangential", "radtan": "radial-tangential"}
 """Names in EuRoC; other distortion models keep the names of our calibration format."""

@@ -14,8 +14,8 @@ from data_synth.writers.tables import (
     written_stamps,
     written_truth,
 )
-from vo.formats.calibration import write_calibration
-from vo.formats.trajectory import write_tum
+from vo.recordings.formats.calibration import write_calibration
+from vo.recordings.formats.trajectory import write_tum
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_synth.records import Shot
 from data_synth.writers.encoding import EncodeDepth, encoded_shots
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
 

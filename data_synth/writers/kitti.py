@@ -12,8 +12,8 @@ from data_synth.records import MoverTruth, Recording, Shot
 from data_synth.writers.image_files import SUFFIXES, write_images
 from data_synth.writers.limits import check_kitti
 from data_synth.writers.tables import seconds_text, write_lines, write_movers
-from vo.geometry.transforms import inverse
-from vo.types import Floats, Rig, Trajectory
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Floats, Rig, Trajectory
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.errors import ConfigError
-from vo.extras import require
-from vo.geometry.rectification import rectified_rig
-from vo.types import Rig
+from vo.base.errors import ConfigError
+from vo.base.extras import require
+from vo.base.geometry.rectification import rectified_rig
+from vo.base.types import Rig
 
 _SAME = 1e-9
 

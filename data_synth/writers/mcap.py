@@ -18,9 +18,9 @@ from mcap.writer import CompressionType, Writer
 from data_synth.records import Recording, Shot
 from data_synth.writers.encoding import encoded_shots
 from data_synth.writers.mcap_streams import messages_of
-from vo.formats.foxglove import FOXGLOVE
-from vo.formats.messages import Dialect, Message
-from vo.version import __version__
+from vo.base.version import __version__
+from vo.recordings.formats.foxglove import FOXGLOVE
+from vo.recordings.formats.messages import Dialect, Message
 
 
 def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
@@ -41,7 +41,7 @@ def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], code
 
 def write_ros2(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
     """As `write_foxglove`, with the messages of ROS 2."""
-    from vo.formats.ros2 import ROS2
+    from vo.recordings.formats.ros2 import ROS2
 
     _write(path, recording, shots, codec, ROS2)
 

@@ -9,7 +9,10 @@ import numpy as np
 
 from data_synth.records import Imu, Recording
 from data_synth.writers.encoding import EncodedShot
-from vo.formats.messages import (
+from vo.base.geometry.rectification import rectified_projections
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Camera, Floats, Ints
+from vo.recordings.formats.messages import (
     CalibrationMessage,
     CompressedImageMessage,
     FrameTransform,
@@ -20,9 +23,6 @@ from vo.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
-from vo.geometry.rectification import rectified_projections
-from vo.geometry.transforms import inverse
-from vo.types import Camera, Floats, Ints
 
 OnTopic = tuple[str, Message]
 

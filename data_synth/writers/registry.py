@@ -9,8 +9,8 @@ from typing import NamedTuple, cast
 from data_synth.recipe import Recipe
 from data_synth.records import Write
 from data_synth.writers.limits import check_kitti, check_mcap, check_nothing, check_ros2, check_tum
-from vo.errors import ConfigError
-from vo.types import Rig
+from vo.base.errors import ConfigError
+from vo.base.types import Rig
 
 
 class Format(NamedTuple):

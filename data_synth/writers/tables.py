@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from data_synth.records import BodyTruth, Imu, Recording
-from vo.geometry.transforms import quat_xyzw_from_rotation
-from vo.types import Floats, Ints, Trajectory
+from vo.base.geometry.transforms import quat_xyzw_from_rotation
+from vo.base.types import Floats, Ints, Trajectory
 
 _NS_PER_S = 1_000_000_000
 

@@ -16,9 +16,9 @@ from data_synth.writers.tables import (
     written_stamps,
     written_truth,
 )
-from vo.errors import ConfigError
-from vo.formats.calibration import write_calibration
-from vo.formats.trajectory import tum_line, write_tum
+from vo.base.errors import ConfigError
+from vo.recordings.formats.calibration import write_calibration
+from vo.recordings.formats.trajectory import tum_line, write_tum
 
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:

@@ -11,7 +11,7 @@ import pytest
 from two_images import CAMERA, MOTION, layered_pair
 
 import vo
-from vo.geometry.transforms import rotation_angle
+from vo.base.geometry.transforms import rotation_angle
 
 A, B = layered_pair()
 RIG = vo.Rig(CAMERA)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import vo
-from vo.frontend.contracts import DescriptorFormat
+from vo.engine.frontend.contracts import DescriptorFormat
 
 VO = str(Path(sys.executable).with_name("vo"))
 PROGRAM = """

@@ -44,8 +44,9 @@ def test_importing_the_package_loads_no_library() -> None:
 
 def test_a_function_of_a_name_is_not_hidden_by_a_module() -> None:
     """`import vo.NAME` must not replace the function `vo.NAME`."""
-    code = "import vo.run_recording, vo.api.functions, vo.evaluation\nassert callable(vo.run)"
-    loaded_after(code + "\nassert callable(vo.open) and callable(vo.evaluate)")
+    code = "import vo.runs.run_recording, vo.api.functions, vo.outputs.evaluation\n"
+    names = "assert callable(vo.run) and callable(vo.open) and callable(vo.evaluate)"
+    loaded_after(code + names)
     for name in vo.__all__:
         if isinstance(getattr(vo, name), ModuleType):
             continue

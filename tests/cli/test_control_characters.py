@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
+from vo.base.printable import printable
 from vo.cli.console import SafeConsole
-from vo.printable import printable
 
 VO = Path(sys.executable).with_name("vo")
 _ATTACK = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e\x7f"

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from vo.formats.ros_reading import ros2_codec
+from vo.recordings.formats.ros_reading import ros2_codec
 
 VO = Path(sys.executable).with_name("vo")
 _IMAGE = """\

@@ -45,7 +45,9 @@ def test_ctrl_c_during_start_up_prints_no_traceback(tmp_path: Path, name: str) -
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "")
 
 
-@pytest.mark.parametrize("name", ["numpy", "cv2", "vo.run_recording", "vo.backend.optimizer"])
+@pytest.mark.parametrize(
+    "name", ["numpy", "cv2", "vo.runs.run_recording", "vo.engine.backend.optimizer"]
+)
 def test_ctrl_c_while_a_run_is_loaded_prints_one_line(tmp_path: Path, name: str) -> None:
     result = vo(
         tmp_path, INTERRUPT_AT_IMPORT.format(name=name), "run", tmp_path, "-o", tmp_path / "out"

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
+from vo.base.geometry.transforms import se3_exp
+from vo.base.types import Trajectory
 from vo.cli.app import app
-from vo.formats.trajectory import write_tum
-from vo.geometry.transforms import se3_exp
-from vo.types import Trajectory
+from vo.recordings.formats.trajectory import write_tum
 
 
 @pytest.fixture

@@ -15,10 +15,10 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from typer.testing import CliRunner, Result
 
+from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation, se3_exp
+from vo.base.types import Floats, Trajectory
 from vo.cli.app import app
-from vo.formats.trajectory import write_tum
-from vo.geometry.transforms import inverse, quat_xyzw_from_rotation, se3_exp
-from vo.types import Floats, Trajectory
+from vo.recordings.formats.trajectory import write_tum
 
 COUNT = 40
 STAMPS_NS = [1_600_000_000_000_000_000 + i * 100_000_000 for i in range(COUNT)]

@@ -12,9 +12,9 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from vo.cli.app import app
-from vo.features.detectors import available_detectors
-from vo.features.extractor import LEARNED_DETECTORS
-from vo.features.methods import missing_detectors
+from vo.engine.features.detectors import available_detectors
+from vo.engine.features.extractor import LEARNED_DETECTORS
+from vo.tools.laboratory.methods import missing_detectors
 
 
 def features(*words: object) -> Result:

@@ -16,7 +16,7 @@ from data_synth.writers.registry import FORMATS as WRITERS
 from vo.cli.app import app
 from vo.cli.command import with_new_names
 from vo.cli.completion import CODECS, INPUT_FORMATS, OUTPUT_FORMATS
-from vo.sources.registry import FORMATS as SOURCES
+from vo.recordings.sources.registry import FORMATS as SOURCES
 
 COMMANDS = {name: command for name, command in get_command(app).commands.items()}  # type: ignore[attr-defined]
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner, Result
 
+from vo.base.config import load_config
 from vo.cli.app import app
-from vo.config import load_config
-from vo.run_recording import run
+from vo.runs.run_recording import run
 
 SMALL = ("--seconds", "0.3", "--fps", "10", "--set", "scale=0.25", "--motion", "handheld")
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from typer.testing import CliRunner
 
+from vo.base.types import Camera
 from vo.cli.app import app
-from vo.mapping.keyframe import FrameId
-from vo.places.encoding import encode_place
-from vo.places.map_file import MapHeader, write_map
-from vo.places.records import PATCH_PX, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
-from vo.types import Camera
+from vo.engine.mapping.keyframe import FrameId
+from vo.engine.places.encoding import encode_place
+from vo.engine.places.map_file import MapHeader, write_map
+from vo.engine.places.records import PATCH_PX, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
 
 
 def _map(path: Path, *, is_metric: bool = True, metric_worlds: tuple[int, ...] = ()) -> Path:

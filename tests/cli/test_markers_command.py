@@ -13,8 +13,8 @@ from marker_views import Placed, developed, looking_at, random_background, rende
 from typer.testing import CliRunner
 
 import vo
+from vo.base.types import Camera, Rig
 from vo.cli.app import app
-from vo.types import Camera, Rig
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 

@@ -11,7 +11,7 @@ from run_calls import vo_run
 from typer.testing import CliRunner, Result
 
 from vo.cli.app import app
-from vo.results.output_paths import refuse_to_overwrite
+from vo.outputs.results.output_paths import refuse_to_overwrite
 
 
 def vo(*words: object) -> Result:

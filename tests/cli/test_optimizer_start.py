@@ -32,7 +32,7 @@ import time
 
 class Waiter:
     def find_spec(self, name, path=None, target=None):
-        if name == "vo.run_recording":
+        if name == "vo.runs.run_recording":
             sys.meta_path.remove(self)
             until = time.monotonic() + 30
             while len(list(Path(__file__).parent.glob("*.pid"))) < 2 and time.monotonic() < until:

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 from run_calls import VO, summary_in, vo_run
 
-from vo.formats.trajectory import read_tum
-from vo.streaming.pose_record import SCHEMA_FILE
+from vo.outputs.streaming.pose_record import SCHEMA_FILE
+from vo.recordings.formats.trajectory import read_tum
 
 FRAMES = 12
 FAST = ("--config", "fast")

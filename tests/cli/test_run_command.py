@@ -14,9 +14,9 @@ import pytest
 from run_calls import VO, summary_in, vo_run
 from typer.testing import CliRunner
 
+from vo.base.types import Trajectory
 from vo.cli.app import app
-from vo.formats.trajectory import read_tum, write_tum
-from vo.types import Trajectory
+from vo.recordings.formats.trajectory import read_tum, write_tum
 
 
 def test_ends_with_a_table_and_the_next_command(synthetic_stereo: Path, out: Path) -> None:
@@ -195,7 +195,7 @@ def test_a_bug_keeps_its_traceback(
     def broken(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("vo.odometry.Odometry._process", broken)
+    monkeypatch.setattr("vo.engine.odometry.Odometry._process", broken)
     assert isinstance(vo_run(images, out).exception, ZeroDivisionError)
 
 

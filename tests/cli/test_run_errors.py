@@ -9,9 +9,9 @@ import pytest
 from run_calls import CALIBRATION, WIDTH, summary_in, vo_run, write_noise
 from typer.testing import CliRunner, Result
 
+from vo.base.types import Trajectory
 from vo.cli.app import app
-from vo.formats.trajectory import read_tum, write_tum
-from vo.types import Trajectory
+from vo.recordings.formats.trajectory import read_tum, write_tum
 
 
 def assert_one_line(result: Result, *words: str) -> None:

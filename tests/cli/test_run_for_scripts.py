@@ -11,10 +11,10 @@ import pytest
 import typer
 from run_calls import summary_in, vo_run
 
+from vo.base.config import load_config
 from vo.cli.run_status import NO_PATH, UNDER_SHARE, exit_if_insufficient, parse_share
-from vo.config import load_config
-from vo.results.summary import Summary
-from vo.run_recording import run
+from vo.outputs.results.summary import Summary
+from vo.runs.run_recording import run
 
 FILES = (
     *("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv", "frames.csv"),

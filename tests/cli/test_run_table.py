@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from vo.base.config import load_config
+from vo.base.failures import Failure, FailureReason, ImageDefect
+from vo.base.faults import FaultKind
 from vo.cli.advice import advice, verdict_sentence
-from vo.config import load_config
-from vo.failures import Failure, FailureReason, ImageDefect
-from vo.faults import FaultKind
-from vo.results.fault_log import FaultRecord
-from vo.results.frames_without_pose import FrameRange
-from vo.results.summary import Summary
-from vo.run_recording import run
+from vo.outputs.results.fault_log import FaultRecord
+from vo.outputs.results.frames_without_pose import FrameRange
+from vo.outputs.results.summary import Summary
+from vo.runs.run_recording import run
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from vo.cli.app import app
-from vo.sources.registry import open_source
+from vo.recordings.sources.registry import open_source
 
 SMALL = ("--seconds", "0.2", "--fps", "10", "--set", "scale=0.25")
 

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from vo.base.config import load_config
 from vo.cli.app import app
 from vo.cli.view import find_recording
-from vo.config import load_config
-from vo.run_recording import run
+from vo.runs.run_recording import run
 
 VO = Path(sys.executable).with_name("vo")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

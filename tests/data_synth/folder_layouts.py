@@ -11,9 +11,9 @@ from recordings import make_recording, make_shots
 
 from data_synth.records import Recording
 from data_synth.writers.registry import load_writer
-from vo.geometry.transforms import make_transform
-from vo.sources.registry import open_source
-from vo.types import Camera, Frame, Rig
+from vo.base.geometry.transforms import make_transform
+from vo.base.types import Camera, Frame, Rig
+from vo.recordings.sources.registry import open_source
 
 IDEAL = Camera(48, 32, 40.0, 41.0, 23.3, 15.7)
 RATIONAL = replace(IDEAL, distortion_model="radtan", distortion=tuple(np.arange(8) * 1e-3 / 7))

@@ -15,8 +15,8 @@ from recordings import make_shots
 
 from data_synth.records import Recording, Write
 from data_synth.writers.mcap import write_foxglove, write_ros2
-from vo.geometry.transforms import make_transform, rotation_from_quat_xyzw
-from vo.types import Floats
+from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
+from vo.base.types import Floats
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from data_synth.scene.scene import Course, flat_ground
-from vo.types import Floats
+from vo.base.types import Floats
 
 ROUND = 2.0 * np.pi * np.arange(16) / 16
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from data_synth.records import BodyTruth, Imu, MoverTruth, Recording, Shot
-from vo.geometry.transforms import make_transform, se3_exp, so3_exp
-from vo.types import Camera, Floats, ImuNoise, Ints, Rig, Trajectory
+from vo.base.geometry.transforms import make_transform, se3_exp, so3_exp
+from vo.base.types import Camera, Floats, ImuNoise, Ints, Rig, Trajectory
 
 FRAMES = 7
 FPS = 20.0

@@ -9,7 +9,7 @@ from data_synth.motion.spline import BODY_FROM_LOOKING_AHEAD, PosePath
 from data_synth.recipe import Effects
 from data_synth.sensor.exposure import Settings
 from data_synth.sensor.photometrics import develop
-from vo.types import Bytes, Floats, Floats32
+from vo.base.types import Bytes, Floats, Floats32
 
 RIG = load_rig("pinhole")
 BASELINE_M = 0.12

@@ -8,8 +8,8 @@ import numpy as np
 
 from data_synth.scene.solids import Ground, Solid
 from data_synth.scene.world import World, build_world
-from vo.geometry.transforms import make_transform
-from vo.types import Camera, Floats
+from vo.base.geometry.transforms import make_transform
+from vo.base.types import Camera, Floats
 
 BLACK, WHITE = 0, 1
 CAMERA = Camera(120, 80, 100.0, 100.0, 59.5, 39.5)

@@ -11,8 +11,8 @@ from data_synth.motion.motions import make_path
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import MotionName
 from data_synth.records import GRAVITY_M_S2, BodyTruth, Imu
-from vo.geometry.transforms import rotation_angle, so3_exp
-from vo.types import Floats, ImuNoise, Ints
+from vo.base.geometry.transforms import rotation_angle, so3_exp
+from vo.base.types import Floats, ImuNoise, Ints
 
 SILENT = ImuNoise(0.0, 0.0, 0.0, 0.0)
 MEMS = ImuNoise(1.7e-4, 1.9e-5, 2.0e-3, 3.0e-3)

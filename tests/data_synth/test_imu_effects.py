@@ -12,8 +12,8 @@ from recordings import make_recording, make_shots
 from data_synth.motion.imu_effects import with_effects
 from data_synth.recipe import ImuRecipe
 from data_synth.records import GRAVITY_M_S2, Imu
-from vo.geometry.transforms import rotation_angle
-from vo.types import ImuNoise
+from vo.base.geometry.transforms import rotation_angle
+from vo.base.types import ImuNoise
 
 SILENT = ImuNoise(0.0, 0.0, 0.0, 0.0)
 RATE_HZ = 400.0
@@ -78,7 +78,7 @@ def test_ranges_clip() -> None:
 
 def test_the_recorded_pose_is_off_by_what_was_chosen(tmp_path: Path) -> None:
     from data_synth.writers import euroc, mcap
-    from vo.sources.registry import open_source
+    from vo.recordings.sources.registry import open_source
 
     recording = make_recording()
     assert recording.imu is not None

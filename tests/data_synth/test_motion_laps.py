@@ -11,8 +11,8 @@ from data_synth.motion.limits import BOUNDS
 from data_synth.motion.motions import make_path
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import LapName
-from vo.errors import ConfigError
-from vo.types import Floats
+from vo.base.errors import ConfigError
+from vo.base.types import Floats
 
 SECONDS = {"ring": 90.0, "rectangle": 250.0, "aisles": 180.0}
 THERE_AND_BACK: tuple[LapName, ...] = ("forward", "reverse")

@@ -11,9 +11,9 @@ from data_synth.motion.limits import BOUNDS, LARGE_M, polygon_length_m
 from data_synth.motion.motions import make_path, mount
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import MotionName
-from vo.errors import ConfigError
-from vo.geometry.transforms import inverse
-from vo.types import Floats
+from vo.base.errors import ConfigError
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Floats
 
 MOTIONS: tuple[MotionName, ...] = get_args(MotionName)
 SECONDS = 30.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data_synth.motion.spline import PosePath
-from vo.types import Floats
+from vo.base.types import Floats
 
 EPSILON_S = 1e-5
 

@@ -12,9 +12,9 @@ from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import moving_shutter, static_shutter
 from data_synth.scene.solids import Solid
 from data_synth.scene.world import World, build_world
-from vo.geometry.cameras import normalise, project
-from vo.geometry.transforms import inverse, make_transform, transform_points
-from vo.types import Bytes, Camera, Floats, Floats32
+from vo.base.geometry.cameras import normalise, project
+from vo.base.geometry.transforms import inverse, make_transform, transform_points
+from vo.base.types import Bytes, Camera, Floats, Floats32
 
 PINHOLE = RIG.cam0
 DISTORTED = replace(PINHOLE, distortion_model="radtan", distortion=(-0.2, 0.05, 1e-3, -5e-4))

@@ -12,7 +12,7 @@ from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import moving_shutter, static_shutter
 from data_synth.scene.solids import Lighting, Solid
 from data_synth.scene.world import World
-from vo.types import Floats
+from vo.base.types import Floats
 
 RAYS = camera_rays(CAMERA)
 ROWS = CAMERA.height

@@ -11,7 +11,7 @@ from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import static_shutter
 from data_synth.scene.solids import Ground
 from data_synth.scene.world import clearance
-from vo.geometry.transforms import make_transform
+from vo.base.geometry.transforms import make_transform
 
 RAYS = camera_rays(CAMERA)
 HILLS = Ground(

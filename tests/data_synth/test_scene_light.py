@@ -11,7 +11,7 @@ from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import static_shutter
 from data_synth.scene.solids import Ground, Kind, Lamp, Lighting, Solid
 from data_synth.scene.world import World
-from vo.types import Floats, Floats32
+from vo.base.types import Floats, Floats32
 
 RAYS = camera_rays(CAMERA)
 FLOOR = Solid((0.0, 0.0, -0.5), (30.0, 30.0, 1.0), WHITE)

@@ -9,7 +9,7 @@ from scene_views import CAMERA, WALL, WHITE, bright_world, looking_along_x, poin
 from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import static_shutter
 from data_synth.scene.solids import Kind, Solid
-from vo.types import Floats
+from vo.base.types import Floats
 
 RAYS = camera_rays(CAMERA)
 EGG = Solid((5.0, 0.2, 0.1), (2.0, 3.0, 1.5), WHITE, yaw=0.4, kind=Kind.ELLIPSOID)

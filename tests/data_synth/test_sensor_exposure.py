@@ -13,7 +13,7 @@ from data_synth.sensor.exposure import (
     target_mean,
 )
 from data_synth.sensor.photometrics import develop
-from vo.types import Floats
+from vo.base.types import Floats
 
 FPS = 20.0
 

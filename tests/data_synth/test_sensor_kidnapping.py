@@ -5,7 +5,7 @@ import pytest
 
 from data_synth.recipe import Effects
 from data_synth.sensor.kidnapping import Kidnapping, kidnap, path_seconds
-from vo.types import Floats
+from vo.base.types import Floats
 
 SECONDS = 40.0
 TIMES_S = np.arange(400) / 10.0

@@ -6,7 +6,7 @@ import pytest
 from data_synth.recipe import Effects
 from data_synth.sensor.exposure import Settings
 from data_synth.sensor.photometrics import FULL_WELL, develop, read_noise, vignetting
-from vo.types import Bytes, Camera, Floats32
+from vo.base.types import Bytes, Camera, Floats32
 
 PERFECT = Effects(blur=0, noise=0, exposure=0, vignetting=0)
 CAMERA = Camera(752, 480, 458.0, 457.0, 367.2, 248.4)

@@ -5,7 +5,7 @@ import pytest
 
 from data_synth.recipe import Effects
 from data_synth.sensor.timing import Timing, make_timing
-from vo.types import Bools
+from vo.base.types import Bools
 
 START_NS = 1_700_000_000_000_000_000
 NOTHING = Effects(blur=0, noise=0, exposure=0, vignetting=0)

@@ -14,9 +14,9 @@ from data_synth.cache import cached_sequence
 from data_synth.plan import FIRST_STAMP_NS, make_plan
 from data_synth.recipe import Recipe, load_recipe
 from data_synth.sequence import make_sequence
-from vo.errors import CalibrationError, ConfigError, OutputError
-from vo.formats.trajectory import read_euroc, read_tum
-from vo.sources.registry import open_source
+from vo.base.errors import CalibrationError, ConfigError, OutputError
+from vo.recordings.formats.trajectory import read_euroc, read_tum
+from vo.recordings.sources.registry import open_source
 
 SMALL = ["seconds=0.3", "fps=10", "scale=0.25"]
 

@@ -15,8 +15,8 @@ from data_synth.scene.scene import Body, Scene
 from data_synth.scene.shutter import static_shutter
 from data_synth.scene.world import World, clearance
 from data_synth.worlds.registry import make_scene
-from vo.geometry.transforms import make_transform
-from vo.types import Bytes, Camera, Floats
+from vo.base.geometry.transforms import make_transform
+from vo.base.types import Bytes, Camera, Floats
 
 INDOORS = {"room": 2, "corridor": 5, "warehouse": 8}  # usual number of movers
 SEED = 1

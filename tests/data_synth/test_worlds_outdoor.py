@@ -14,8 +14,8 @@ from data_synth.scene.scene import Scene
 from data_synth.scene.shutter import static_shutter
 from data_synth.scene.world import World, clearance
 from data_synth.worlds import street, terrain
-from vo.geometry.transforms import make_transform
-from vo.types import Bytes, Camera, Floats
+from vo.base.geometry.transforms import make_transform
+from vo.base.types import Bytes, Camera, Floats
 
 CAMERA = Camera(613, 185, 359, 359, 306, 92)
 WORLDS = pytest.mark.parametrize("module", [street, terrain], ids=["street", "terrain"])

@@ -20,11 +20,11 @@ from folder_layouts import (
 from recordings import BODY_FROM_CAM0, FISHEYE, FRAMES, RADTAN, make_recording, make_shots
 
 from data_synth.records import Recording
-from vo.formats.calibration import read_calibration
-from vo.formats.trajectory import read_euroc, read_tum
-from vo.geometry.transforms import rotation_from_quat_xyzw
-from vo.sources.registry import open_source
-from vo.types import Camera
+from vo.base.geometry.transforms import rotation_from_quat_xyzw
+from vo.base.types import Camera
+from vo.recordings.formats.calibration import read_calibration
+from vo.recordings.formats.trajectory import read_euroc, read_tum
+from vo.recordings.sources.registry import open_source
 
 
 @pytest.fixture(scope="module")

@@ -21,9 +21,9 @@ from folder_layouts import (
 )
 from recordings import BODY_FROM_CAM0, FRAMES, RADTAN, make_recording, make_shots
 
-from vo.formats.trajectory import read_kitti, read_tum
-from vo.geometry.transforms import inverse
-from vo.sources.registry import open_source
+from vo.base.geometry.transforms import inverse
+from vo.recordings.formats.trajectory import read_kitti, read_tum
+from vo.recordings.sources.registry import open_source
 
 # What all layouts have in common
 

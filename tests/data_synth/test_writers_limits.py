@@ -19,9 +19,9 @@ from recordings import FISHEYE, RADTAN, make_recording
 
 from data_synth.recipe import Recipe
 from data_synth.writers.registry import FORMATS, check, load_writer
-from vo.errors import CalibrationError, ConfigError
-from vo.geometry.transforms import make_transform, so3_exp
-from vo.types import Rig
+from vo.base.errors import CalibrationError, ConfigError
+from vo.base.geometry.transforms import make_transform, so3_exp
+from vo.base.types import Rig
 
 
 @pytest.mark.parametrize("name", FORMATS)

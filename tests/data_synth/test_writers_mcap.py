@@ -30,9 +30,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability
 
 from data_synth.records import Shot
-from vo.geometry.rectification import rectified_rig
-from vo.geometry.transforms import inverse
-from vo.types import Camera
+from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Camera
 
 RERUN = Path(sys.executable).with_name("rerun")
 

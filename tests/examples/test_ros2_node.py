@@ -14,7 +14,7 @@ import pytest
 import ros2_stand_in as ros
 
 import vo
-from vo.geometry.transforms import (
+from vo.base.geometry.transforms import (
     inverse,
     make_transform,
     quat_xyzw_from_rotation,
@@ -22,7 +22,7 @@ from vo.geometry.transforms import (
     se3_exp,
     so3_exp,
 )
-from vo.types import KeyframePose
+from vo.base.types import KeyframePose
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "ros2"
 FRAMES = 6

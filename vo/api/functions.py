@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Unpack
 
 from vo.api.same_bits import prepare
-from vo.config import Config, load_config
-from vo.errors import ConfigError
-from vo.evaluation.alignment import AlignMethod
-from vo.evaluation.inputs import GivenTrajectory, load_inputs
-from vo.evaluation.report import Evaluation
-from vo.evaluation.report import evaluate as evaluate_trajectories
-from vo.results.summary import Summary
-from vo.run_recording import RunOptions
-from vo.run_recording import run as run_recording
-from vo.sources.source import FrameStream
-from vo.types import Trajectory
+from vo.base.config import Config, load_config
+from vo.base.errors import ConfigError
+from vo.base.types import Trajectory
+from vo.outputs.evaluation.alignment import AlignMethod
+from vo.outputs.evaluation.inputs import GivenTrajectory, load_inputs
+from vo.outputs.evaluation.report import Evaluation
+from vo.outputs.evaluation.report import evaluate as evaluate_trajectories
+from vo.outputs.results.summary import Summary
+from vo.recordings.sources.source import FrameStream
+from vo.runs.run_recording import RunOptions
+from vo.runs.run_recording import run as run_recording
 
 
 def run(
@@ -35,11 +35,11 @@ def run(
         output: folder for the results (docs/outputs.md); those of an earlier run are removed.
         config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
         overrides: settings to change, such as `["features.count=2500"]`.
-        **options: see `vo.run_recording.RunOptions`: mode, start, end, stride, calibration, topics,
-            rrd, exports and others.
+        **options: see `vo.runs.run_recording.RunOptions`: mode, start, end, stride, calibration,
+            topics, rrd, exports and others.
 
     Raises:
-        VoError: see `vo.run_recording.run`.
+        VoError: see `vo.runs.run_recording.run`.
     """
     if not isinstance(config, Config):
         config = load_config(config, list(overrides))

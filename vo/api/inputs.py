@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from vo.config import Config, load_config
-from vo.errors import CalibrationError, ConfigError, InputError
-from vo.formats.calibration import Calibration, read_calibration
-from vo.given_images import (
+from vo.base.config import Config, load_config
+from vo.base.errors import CalibrationError, ConfigError, InputError
+from vo.base.images.given_images import (
     ColourOrder,
     array_of,
     check_colour,
@@ -20,8 +19,9 @@ from vo.given_images import (
     kind_of,
     shown,
 )
-from vo.grey_stretch import Pixels, RunningStretch
-from vo.types import Bytes, Camera, Floats32, Frame, Rig
+from vo.base.images.grey_stretch import Pixels, RunningStretch
+from vo.base.types import Bytes, Camera, Floats32, Frame, Rig
+from vo.recordings.formats.calibration import Calibration, read_calibration
 
 _MAX_STAMP_NS = 2**63 - 1
 _MAX_DEPTH_M = 1e6

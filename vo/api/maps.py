@@ -8,12 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from vo.memory.map_merging import merge_maps
-from vo.places.map_contents import chosen_world, map_contents
-from vo.places.map_file import MapFile
-from vo.places.map_points import export_ply
-from vo.places.vocabulary_file import built_in_vocabulary, read_vocabulary
-from vo.results.output_paths import refuse_to_overwrite
+from vo.engine.places.map_file import MapFile
+from vo.engine.places.vocabulary_file import built_in_vocabulary, read_vocabulary
+from vo.outputs.results.output_paths import refuse_to_overwrite
+from vo.tools.maps.contents import chosen_world, map_contents
+from vo.tools.maps.merging import merge_maps
+from vo.tools.maps.points import export_ply
 
 
 def load(path: str | Path) -> MapFile:

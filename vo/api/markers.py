@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from vo.api.inputs import rig_of
-from vo.errors import CalibrationError, ConfigError
-from vo.formats.calibration import Calibration, read_calibration
-from vo.given_images import ColourOrder, grey_image
-from vo.markers.boards import check_length
-from vo.markers.detection import Refinement, make_detector
-from vo.markers.dictionaries import dictionary_name
-from vo.markers.records import Marker
-from vo.markers.search import MarkerFinder
-from vo.sources.single_image import read_single_image
-from vo.types import Camera, Rig
+from vo.base.errors import CalibrationError, ConfigError
+from vo.base.images.given_images import ColourOrder, grey_image
+from vo.base.types import Camera, Rig
+from vo.engine.markers.dictionaries import dictionary_name
+from vo.engine.markers.records import Marker
+from vo.recordings.formats.calibration import Calibration, read_calibration
+from vo.recordings.sources.single_image import read_single_image
+from vo.tools.markers.boards import check_length
+from vo.tools.markers.detection import Refinement, make_detector
+from vo.tools.markers.search import MarkerFinder
 
 
 def find_markers(

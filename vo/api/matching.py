@@ -9,20 +9,20 @@ from typing import Any, Unpack
 import numpy as np
 
 from vo.api.inputs import rig_of
-from vo.config import Config, load_config
-from vo.errors import ConfigError
-from vo.features.image_pair import ImagePair, match_images
-from vo.features.pair_options import (
+from vo.base.config import Config, load_config
+from vo.base.errors import ConfigError
+from vo.base.images.given_images import ColourOrder, grey_image, grey_mask
+from vo.base.types import Bytes, Rig
+from vo.recordings.formats.calibration import Calibration, read_calibration
+from vo.recordings.sources.single_image import SingleImage, read_single_image
+from vo.tools.pairs.image_pair import ImagePair, match_images
+from vo.tools.pairs.pair_options import (
     PairChoices,
     check_cameras,
     pair_cameras,
     pair_masks,
     pair_options,
 )
-from vo.formats.calibration import Calibration, read_calibration
-from vo.given_images import ColourOrder, grey_image, grey_mask
-from vo.sources.single_image import SingleImage, read_single_image
-from vo.types import Bytes, Rig
 
 
 class MatchOptions(PairChoices, total=False):

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any, Self
 
 from vo.api.inputs import rig_of
-from vo.errors import CalibrationError, InputError
-from vo.formats.calibration import Calibration, read_calibration
-from vo.given_images import ColourOrder, grey_image, kind_of
-from vo.objects.confidence import THRESHOLD
-from vo.objects.database import DETECTOR
-from vo.objects.database import ObjectDatabase as _Objects
-from vo.objects.records import FoundObject
-from vo.sources.single_image import read_single_image
-from vo.types import Bytes, Camera, Rig
+from vo.base.errors import CalibrationError, InputError
+from vo.base.images.given_images import ColourOrder, grey_image, kind_of
+from vo.base.types import Bytes, Camera, Rig
+from vo.recordings.formats.calibration import Calibration, read_calibration
+from vo.recordings.sources.single_image import read_single_image
+from vo.tools.objects.confidence import THRESHOLD
+from vo.tools.objects.database import DETECTOR
+from vo.tools.objects.database import ObjectDatabase as _Objects
+from vo.tools.objects.records import FoundObject
 
 
 class ObjectDatabase:

@@ -12,16 +12,16 @@ from typing import Any, Self
 
 from vo.api.inputs import FrameInput, config_of, rig_of
 from vo.api.same_bits import prepare
-from vo.calibration_errors import CalibrationErrors
-from vo.config import Config
-from vo.errors import VoError
-from vo.formats.calibration import Calibration
-from vo.given_images import ColourOrder
-from vo.odometry import Odometry as FrameOdometry
-from vo.results.run_statistics import RunStatistics
-from vo.results.summary import RunFacts, RunState, Summary, summarise
-from vo.stages import BUILT_IN, Components
-from vo.types import Estimate, KeyframePose, Mode, Rig, Snapshot, Trajectory
+from vo.base.config import Config
+from vo.base.errors import VoError
+from vo.base.images.given_images import ColourOrder
+from vo.base.records.calibration_errors import CalibrationErrors
+from vo.base.types import Estimate, KeyframePose, Mode, Rig, Snapshot, Trajectory
+from vo.engine.odometry import Odometry as FrameOdometry
+from vo.engine.stages import BUILT_IN, Components
+from vo.outputs.results.run_statistics import RunStatistics
+from vo.outputs.results.summary import RunFacts, RunState, Summary, summarise
+from vo.recordings.formats.calibration import Calibration
 
 
 class Odometry:

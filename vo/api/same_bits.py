@@ -7,19 +7,19 @@ import subprocess
 import sys
 import threading
 
-from vo.compiling.openblas import choose_kernels_again
-from vo.compiling.processor import use_common_instructions
-from vo.odometry import Odometry
-from vo.warmup import is_warm, warm_up
+from vo.base.compiling.openblas import choose_kernels_again
+from vo.base.compiling.processor import use_common_instructions
+from vo.engine.odometry import Odometry
+from vo.engine.warmup import is_warm, warm_up
 
 _log = logging.getLogger(__name__)
 _PROGRAM = """
 import sys
 sys.path[:0] = {path!r}
-from vo.compiling.processor import use_common_instructions
+from vo.base.compiling.processor import use_common_instructions
 use_common_instructions()
-from vo.odometry import Odometry
-from vo.warmup import warm_up
+from vo.engine.odometry import Odometry
+from vo.engine.warmup import warm_up
 warm_up(Odometry)
 """
 _lock = threading.Lock()

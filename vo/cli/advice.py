@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from vo.failures import Failure, FailureReason, ImageDefect
-from vo.results.summary import Summary
-from vo.results.verdict import MIN_INLIERS
+from vo.base.failures import Failure, FailureReason, ImageDefect
+from vo.outputs.results.summary import Summary
+from vo.outputs.results.verdict import MIN_INLIERS
 
 _MAX_RANGES = 3
 _MAX_STARTING = 0.1  # of all frames

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from vo.base.errors import VoError
 from vo.cli.batch import batch_command
 from vo.cli.calibrate import calibrate_command
 from vo.cli.command import Command
@@ -36,7 +37,6 @@ from vo.cli.synth import synth_command
 from vo.cli.view import view_command
 from vo.cli.vocabulary import vocabulary_command
 from vo.cli.warmup import warmup_command
-from vo.errors import VoError
 
 # Headings of the commands in `vo --help`.
 _ODOMETRY, _RESULTS, _RECORDINGS = "Odometry", "Results", "Recordings and cameras"
@@ -108,7 +108,7 @@ app = typer.Typer(
 
 def _print_version(is_given: bool) -> None:
     if is_given:
-        from vo.version import __version__
+        from vo.base.version import __version__
 
         echo(f"vo {__version__}")
         raise typer.Exit()

@@ -12,8 +12,8 @@ from vo.cli import options
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
-    from vo.batch.batch import BatchResult, Engine
-    from vo.batch.execution import Limits
+    from vo.runs.batch.batch import BatchResult, Engine
+    from vo.runs.batch.execution import Limits
 
 # Heading of options in `--help`, besides those in `options`.
 _ENGINE = "Where and how they run"
@@ -49,7 +49,7 @@ Manifest = Annotated[
 
 
 class DatasetChoice(StrEnum):
-    """Choices of `--dataset`: the keys of `vo.batch.datasets.DATASETS`."""
+    """Choices of `--dataset`: the keys of `vo.runs.batch.datasets.DATASETS`."""
 
     EUROC = "euroc"
     KITTI = "kitti"
@@ -185,15 +185,15 @@ def batch_command(
     (batch.json lists them), 130 stopped by Ctrl-C; results until then are
     kept.
     """
-    from vo.batch.batch import run_batch
-    from vo.batch.execution import Limits
-    from vo.batch.job import Job
-    from vo.batch.planning import MANIFEST_SUFFIXES, plan
+    from vo.base.config import load_config
+    from vo.base.extras import require
     from vo.cli.batch_table import BatchBar, print_batch
     from vo.cli.console import standard_error, standard_output
     from vo.cli.progress import warnings_on
-    from vo.config import load_config
-    from vo.extras import require
+    from vo.runs.batch.batch import run_batch
+    from vo.runs.batch.execution import Limits
+    from vo.runs.batch.job import Job
+    from vo.runs.batch.planning import MANIFEST_SUFFIXES, plan
 
     if report:
         require("matplotlib", extra="report", what="reports")
@@ -235,12 +235,12 @@ def batch_command(
 def make_engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
     """Where recordings run: on this machine, or on a cluster."""
     if ray is None:
-        from vo.batch.batch import LocalEngine
+        from vo.runs.batch.batch import LocalEngine
 
         return LocalEngine(jobs, limits)
     if jobs is not None:
         raise typer.BadParameter("--jobs is for this machine; Ray decides by cores (--threads)")
-    from vo.batch.cluster import RayEngine
+    from vo.runs.batch.cluster import RayEngine
 
     return RayEngine(ray, limits)
 
@@ -248,7 +248,7 @@ def make_engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
 def _as_dict(result: BatchResult) -> dict[str, object]:
     from dataclasses import asdict
 
-    from vo.batch.tables import totals
+    from vo.runs.batch.tables import totals
 
     return {
         "output": str(result.output),

@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from vo.batch.batch import BatchResult
-from vo.batch.datasets import table_of
-from vo.batch.job import JobResult
-from vo.batch.planning import Plan
-from vo.batch.tables import PAGE, totals
+from vo.base.printable import counted
 from vo.cli.console import print_table
-from vo.printable import counted
+from vo.runs.batch.batch import BatchResult
+from vo.runs.batch.datasets import table_of
+from vo.runs.batch.job import JobResult
+from vo.runs.batch.planning import Plan
+from vo.runs.batch.tables import PAGE, totals
 
 _MAX_TEXT = 70  # of an error in the table
 _MAX_ROWS = 40  # worst first, if there are more

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import typer
 
+from vo.base.errors import ConfigError, OutputError
 from vo.cli import calibrate_options as choices
 from vo.cli import options
 from vo.cli.calibrate_progress import search_progress
 from vo.cli.echo import echo, echo_json
-from vo.errors import ConfigError, OutputError
 
 if TYPE_CHECKING:
-    from vo.calibrating.board import Board
-    from vo.calibrating.calibrate import CalibrationResult
+    from vo.tools.calibrating.board import Board
+    from vo.tools.calibrating.calibrate import CalibrationResult
 
 
 _MAX_GROUP = 10
@@ -76,7 +76,7 @@ def calibrate_command(
 
       vo calibrate --imu-noise rest.mcap -o imu.yaml --picture allan.png
     """
-    from vo.calibrating.board import make_board
+    from vo.tools.calibrating.board import make_board
 
     topics = tuple(topic or ())
     if imu_noise:
@@ -116,12 +116,12 @@ def calibrate_command(
         raise ConfigError("--calibration gives the cameras for --imu; leave it out, or add --imu")
     result = _calibrate_and_write(request, made, output, picture)
     if json_output:
-        from vo.calibrating.report import to_dict
+        from vo.tools.calibrating.report import to_dict
 
         written = None if picture is None else str(picture)
         echo_json(to_dict(result) | {"output": str(output), "picture": written})
     elif quiet:
-        from vo.calibrating.advice import warnings_of
+        from vo.tools.calibrating.advice import warnings_of
 
         for line in warnings_of(result):
             echo(f"warning: {line}", err=True)
@@ -142,7 +142,7 @@ def _measure_noise(
     quiet: bool,
 ) -> None:
     from vo.cli.calibrate_imu_noise import calibrate_imu_noise
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     if source is None:
         raise ConfigError("give a recording of the inertial sensor at rest")
@@ -162,7 +162,7 @@ def _refuse_existing(paths: Sequence[Path | None], force: bool) -> None:
 
 
 def _print_board(path: Path, board: Board) -> None:
-    from vo.calibrating.printing import save_board
+    from vo.tools.calibrating.printing import save_board
 
     save_board(path, board)
     echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
@@ -177,7 +177,7 @@ def _calibrate_imu(
     as_json: bool,
 ) -> None:
     from vo.cli.calibrate_imu import KALIBR_NAME, calibrate_imu
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     kalibr = output.with_name(KALIBR_NAME)
     _refuse_existing([kalibr], force)
@@ -210,7 +210,7 @@ class Request(NamedTuple):
 def _calibrate_and_write(
     request: Request, board: Board, output: Path, picture: Path | None
 ) -> CalibrationResult:
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite([request.path], [output, picture])
     _check_outputs(output, picture)
@@ -224,14 +224,14 @@ def _calibrate_and_write(
 
 
 def _calibrate(request: Request, board: Board) -> CalibrationResult:
-    from vo.calibrating.calibrate import calibrate
-    from vo.calibrating.fit import MIN_VIEWS
-    from vo.calibrating.missing_board import explain_missing_board
-    from vo.calibrating.views import detect_views, least_motion_frames
+    from vo.base.errors import CalibrationError
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
-    from vo.errors import CalibrationError
-    from vo.sources.uncalibrated import open_uncalibrated
+    from vo.recordings.sources.uncalibrated import open_uncalibrated
+    from vo.tools.calibrating.calibrate import calibrate
+    from vo.tools.calibrating.fit import MIN_VIEWS
+    from vo.tools.calibrating.missing_board import explain_missing_board
+    from vo.tools.calibrating.views import detect_views, least_motion_frames
 
     console = standard_error()
     path, format, mode, topics, offset_ns, side_by_side, start, end = request[:8]
@@ -266,17 +266,17 @@ def _check_outputs(output: Path, picture: Path | None) -> None:
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
             raise OutputError(f"{path} cannot be written; give a file in an existing folder")
     if picture is not None:
-        from vo.calibrating.plots import check_suffix
+        from vo.tools.calibrating.plots import check_suffix
 
         check_suffix(picture)
 
 
 def _write(result: CalibrationResult, output: Path, picture: Path | None) -> None:
-    from vo.calibrating.report import comments
-    from vo.formats.calibration import write_calibration
+    from vo.recordings.formats.calibration import write_calibration
+    from vo.tools.calibrating.report import comments
 
     if picture is not None:
-        from vo.calibrating.plots import save_plot
+        from vo.tools.calibrating.plots import save_plot
 
         save_plot(picture, result)
     write_calibration(output, result.rig, comments(result))

@@ -12,11 +12,11 @@ from vo.cli.calibrate_progress import search_progress
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
-    from vo.calibrating.board import Board
-    from vo.calibrating.imu_camera import ImuOnCamera
+    from vo.base.types import Rig
     from vo.cli.calibrate import Request
-    from vo.formats.calibration import ImuCalibration
-    from vo.types import Rig
+    from vo.recordings.formats.calibration import ImuCalibration
+    from vo.tools.calibrating.board import Board
+    from vo.tools.calibrating.imu_camera import ImuOnCamera
 
 KALIBR_NAME = "camchain-imucam.yaml"
 _MAX_FRAMES = 2000
@@ -26,11 +26,11 @@ def calibrate_imu(
     request: Request, board: Board, output: Path, calibration: Path | None, *, as_json: bool
 ) -> None:
     """Calibrate, write our own and Kalibr's file, and print the result."""
-    from vo.calibrating.imu_advice import comments, warnings_of
-    from vo.calibrating.kalibr_chain import write_chain
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
-    from vo.formats.calibration import write_calibration
+    from vo.recordings.formats.calibration import write_calibration
+    from vo.tools.calibrating.imu_advice import comments, warnings_of
+    from vo.tools.calibrating.kalibr_chain import write_chain
 
     with warnings_on(standard_error(), quiet=request.quiet):
         rig, found, imu = _calibrate(request, board, calibration)
@@ -55,15 +55,15 @@ def calibrate_imu(
 def _calibrate(
     request: Request, board: Board, calibration: Path | None
 ) -> tuple[Rig, ImuOnCamera, ImuCalibration]:
-    from vo.calibrating.board_poses import board_poses
-    from vo.calibrating.calibrate import calibrate
-    from vo.calibrating.imu_camera import calibrate_imu_camera
-    from vo.calibrating.views import detect_views
     from vo.cli.console import standard_error
-    from vo.formats.calibration import ImuCalibration, read_calibration
-    from vo.sources.imu import usable_noise
-    from vo.sources.imu_only import open_imu
-    from vo.sources.uncalibrated import open_uncalibrated
+    from vo.recordings.formats.calibration import ImuCalibration, read_calibration
+    from vo.recordings.sources.imu import usable_noise
+    from vo.recordings.sources.imu_only import open_imu
+    from vo.recordings.sources.uncalibrated import open_uncalibrated
+    from vo.tools.calibrating.board_poses import board_poses
+    from vo.tools.calibrating.calibrate import calibrate
+    from vo.tools.calibrating.imu_camera import calibrate_imu_camera
+    from vo.tools.calibrating.views import detect_views
 
     sensor = open_imu(request.path, request.format, request.topics)
     samples = sensor.read()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
-    from vo.calibrating.imu_noise import ImuNoiseResult, SensorNoise
+    from vo.tools.calibrating.imu_noise import ImuNoiseResult, SensorNoise
 
 
 def calibrate_imu_noise(
@@ -23,17 +23,17 @@ def calibrate_imu_noise(
     quiet: bool,
 ) -> None:
     """Measure, write Kalibr's imu.yaml and perhaps a plot, and print the noise."""
-    from vo.calibrating.imu_noise import measure_noise, warnings_of, write_kalibr
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
-    from vo.sources.imu_only import open_imu
+    from vo.recordings.sources.imu_only import open_imu
+    from vo.tools.calibrating.imu_noise import measure_noise, warnings_of, write_kalibr
 
     with warnings_on(standard_error(), quiet=quiet):
         sensor = open_imu(source, format, topics)
         samples = sensor.read()
         result = measure_noise(samples.stamps_ns, samples.gyro, samples.accel)
     if picture is not None:
-        from vo.calibrating.allan_plot import save_allan_plot
+        from vo.tools.calibrating.allan_plot import save_allan_plot
 
         save_allan_plot(picture, result)
     write_kalibr(output, result, sensor.name if sensor.name.startswith("/") else "/imu0")
@@ -52,7 +52,7 @@ def calibrate_imu_noise(
 
 
 def _facts(result: ImuNoiseResult) -> dict[str, Any]:
-    from vo.calibrating.imu_noise import warnings_of
+    from vo.tools.calibrating.imu_noise import warnings_of
 
     return {
         "rate_hz": round(result.rate_hz, 6),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from vo.printable import counted
+from vo.base.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,12 +10,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from vo.calibrating.advice import coverage, tilts_deg, warnings_of
-from vo.calibrating.calibrate import CalibrationResult
-from vo.calibrating.report import baseline, camera_parameters, camera_rms_px, epipolar_rms_px
+from vo.base.geometry.transforms import rotation_angle
+from vo.base.printable import counted
 from vo.cli.console import print_table, standard_output
-from vo.geometry.transforms import rotation_angle
-from vo.printable import counted
+from vo.tools.calibrating.advice import coverage, tilts_deg, warnings_of
+from vo.tools.calibrating.calibrate import CalibrationResult
+from vo.tools.calibrating.report import baseline, camera_parameters, camera_rms_px, epipolar_rms_px
 
 
 def print_result(

@@ -13,7 +13,7 @@ from vo.cli.echo import echo_json
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from vo.batch.comparison import Comparison
+    from vo.runs.batch.comparison import Comparison
 
 _WORSE = 4  # exit status
 _MAX_ROWS = 40
@@ -71,11 +71,11 @@ def compare_command(
 
     Exit status: 0, 1 error, 2 wrong usage, 4 --fail-if-worse.
     """
-    from vo.batch.comparison import compare
-    from vo.batch.comparison_page import comparison_page
-    from vo.batch.tables import read_batch
     from vo.cli.console import standard_output
-    from vo.results.folder import write_atomically
+    from vo.outputs.results.folder import write_atomically
+    from vo.runs.batch.comparison import compare
+    from vo.runs.batch.comparison_page import comparison_page
+    from vo.runs.batch.tables import read_batch
 
     limit = None if fail_if_worse is None else _ratio(fail_if_worse)
     compared = compare(read_batch(before), read_batch(after))
@@ -104,9 +104,9 @@ def _print(compared: Comparison, console: Console) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from vo.batch.comparison import METRICS
-    from vo.batch.comparison_page import NAMES
     from vo.cli.console import print_table
+    from vo.runs.batch.comparison import METRICS
+    from vo.runs.batch.comparison_page import NAMES
 
     style = box.SIMPLE_HEAD if console.is_terminal else box.ASCII2
     table = Table(box=style, pad_edge=False)

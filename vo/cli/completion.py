@@ -37,7 +37,7 @@ def codecs() -> list[str]:
 
 def presets() -> list[str]:
     """Presets of the odometry."""
-    from vo.settings import names_in, preset_folder
+    from vo.base.settings import names_in, preset_folder
 
     return names_in(preset_folder())
 
@@ -46,7 +46,7 @@ def detectors() -> list[str]:
     """Detectors of features."""
     from typing import get_args
 
-    from vo.config import DetectorName
+    from vo.base.config import DetectorName
 
     return list(get_args(DetectorName))
 
@@ -55,29 +55,29 @@ def descriptors() -> list[str]:
     """Descriptors of features."""
     from typing import get_args
 
-    from vo.config import DescriptorName
+    from vo.base.config import DescriptorName
 
     return list(get_args(DescriptorName))
 
 
 def recipes() -> list[str]:
     """Presets of synthetic recordings."""
-    from vo.settings import names_in, preset_folder
+    from vo.base.settings import names_in, preset_folder
 
     return names_in(preset_folder() / "synth")
 
 
 def cameras() -> list[str]:
     """Cameras of synthetic recordings."""
-    from vo.settings import names_in, preset_folder
+    from vo.base.settings import names_in, preset_folder
 
     return names_in(preset_folder() / "synth" / "cameras")
 
 
 def image_topics(ctx: typer.Context) -> list[str]:
     """Image topics of the log on the line; none if it cannot be read, or is not a file."""
-    from vo.errors import VoError
-    from vo.sources.registry import open_container
+    from vo.base.errors import VoError
+    from vo.recordings.sources.registry import open_container
 
     words = [ctx.params.get("source"), *ctx.args]  # the latter while an option has no value yet
     paths = [Path(str(word)) for word in words if str(word).endswith(".mcap")]
@@ -85,7 +85,7 @@ def image_topics(ctx: typer.Context) -> list[str]:
     if path is None:  # bags are read from one end to the other, which takes too long
         return []
     with suppress(VoError, OSError):
-        from vo.sources.logs.choice import IMAGE_KINDS
+        from vo.recordings.sources.logs.choice import IMAGE_KINDS
 
         log = open_container(path, "mcap")
         return [topic.name for topic in log.topics if issubclass(topic.codec.kind, IMAGE_KINDS)]

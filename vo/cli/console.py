@@ -11,7 +11,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.segment import Segment
 from rich.table import Table
 
-from vo.printable import printable
+from vo.base.printable import printable
 
 _ANY_WIDTH = 1000
 

@@ -13,6 +13,9 @@ import numpy as np
 
 from data_synth.records import Pixels, Recording, Shot
 from data_synth.writers.registry import FORMATS, load_writer
+from vo.base.errors import ConfigError, OutputError, SourceError
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Frame, Ints, Rig, Trajectory
 from vo.cli.conversion_ground_truth import (
     body_truth,
     no_poses,
@@ -22,13 +25,10 @@ from vo.cli.conversion_ground_truth import (
 )
 from vo.cli.conversion_imu import imu_around
 from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
-from vo.errors import ConfigError, OutputError, SourceError
-from vo.geometry.transforms import inverse
-from vo.inspection.opening import OpenedRecording, collected_warnings, right_stamps
-from vo.sources.images import ImageKind, is_colour
-from vo.sources.sequence import select_frames
-from vo.sources.source import Recording as SourceRecording
-from vo.types import Frame, Ints, Rig, Trajectory
+from vo.recordings.sources.images import ImageKind, is_colour
+from vo.recordings.sources.sequence import select_frames
+from vo.recordings.sources.source import Recording as SourceRecording
+from vo.tools.inspection.opening import OpenedRecording, collected_warnings, right_stamps
 
 OnFrame = Callable[[int, int], None]
 _NS_PER_S = 1e9

@@ -9,9 +9,9 @@ import numpy as np
 
 from data_synth.records import BodyTruth, Recording
 from data_synth.writers.tables import seconds_text, write_lines
-from vo.formats.trajectory import write_tum
-from vo.geometry.transforms import interpolate, inverse
-from vo.types import Bools, Floats, Ints, Trajectory
+from vo.base.geometry.transforms import interpolate, inverse
+from vo.base.types import Bools, Floats, Ints, Trajectory
+from vo.recordings.formats.trajectory import write_tum
 
 
 def poses_around(stamps_ns: Ints, truth: Trajectory | None) -> Trajectory | None:

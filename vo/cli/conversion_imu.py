@@ -7,12 +7,12 @@ import logging
 import numpy as np
 
 from data_synth.records import BODY, Imu
-from vo.errors import VoError
-from vo.geometry.transforms import inverse
-from vo.sources.imu import Imu as SourceImu
-from vo.sources.imu import ImuSamples
-from vo.sources.source import Recording
-from vo.types import Floats, Ints
+from vo.base.errors import VoError
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Floats, Ints
+from vo.recordings.sources.imu import Imu as SourceImu
+from vo.recordings.sources.imu import ImuSamples
+from vo.recordings.sources.source import Recording
 
 _log = logging.getLogger(__name__)
 

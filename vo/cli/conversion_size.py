@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from data_synth.records import Pixels
-from vo.types import Camera, Floats32, Rig
+from vo.base.types import Camera, Floats32, Rig
 
 Size = tuple[int, int] | float
 """Width and height of all images, or a factor."""

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vo.base.printable import counted
 from vo.cli import completion, options
 from vo.cli.echo import echo, echo_json
-from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from data_synth.records import Recording
     from vo.cli.conversion import Conversion
-    from vo.inspection.opening import OpenedRecording
+    from vo.tools.inspection.opening import OpenedRecording
 
 
 Output = Annotated[
@@ -92,8 +92,8 @@ def convert_command(
     from vo.cli.console import standard_error
     from vo.cli.conversion import Conversion
     from vo.cli.progress import details_on, warnings_on
-    from vo.inspection.opening import open_leniently
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.tools.inspection.opening import open_leniently
 
     refuse_to_overwrite((source, calibration), (output,))
     console = standard_error()
@@ -169,8 +169,8 @@ def _sentence(facts: dict[str, Any]) -> str:
 
 def _output_format(format: str | None, output: Path) -> str:
     from data_synth.writers.registry import FORMATS
-    from vo.errors import ConfigError
-    from vo.sources.registry import VIDEO_SUFFIXES
+    from vo.base.errors import ConfigError
+    from vo.recordings.sources.registry import VIDEO_SUFFIXES
 
     suffix = output.suffix.lower()
     if suffix in VIDEO_SUFFIXES:
@@ -194,7 +194,7 @@ def _output_format(format: str | None, output: Path) -> str:
 
 
 def _size(text: str | None) -> tuple[int, int] | float | None:
-    from vo.errors import ConfigError
+    from vo.base.errors import ConfigError
 
     if text is None:
         return None

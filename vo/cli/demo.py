@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.base.errors import MissingExtraError
+from vo.base.printable import counted
 from vo.cli import options
 from vo.cli.echo import echo_json
-from vo.errors import MissingExtraError
-from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from vo.evaluation.inputs import Inputs
-    from vo.evaluation.report import Evaluation
-    from vo.results.summary import Summary
+    from vo.outputs.evaluation.inputs import Inputs
+    from vo.outputs.evaluation.report import Evaluation
+    from vo.outputs.results.summary import Summary
 
 
 def demo_command(
@@ -92,10 +92,10 @@ def _find_or_make_sequence(output: Path, console: Console, errors: Console) -> P
 
 
 def _run(sequence: Path, results: Path, rrd: Path, errors: Console) -> Summary:
+    from vo.base.config import load_config
     from vo.cli.console import standard_error
     from vo.cli.progress import make_progress, warnings_on
-    from vo.config import load_config
-    from vo.run_recording import run
+    from vo.runs.run_recording import run
 
     with warnings_on(standard_error(), quiet=errors.quiet):
         progress = make_progress(errors, quiet=errors.quiet)
@@ -103,8 +103,8 @@ def _run(sequence: Path, results: Path, rrd: Path, errors: Console) -> Summary:
 
 
 def _evaluate(results: Path, sequence: Path) -> tuple[Inputs, Evaluation]:
-    from vo.evaluation.inputs import load_inputs
-    from vo.evaluation.report import evaluate
+    from vo.outputs.evaluation.inputs import load_inputs
+    from vo.outputs.evaluation.report import evaluate
 
     inputs = load_inputs(results, sequence)
     return inputs, evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
@@ -112,7 +112,7 @@ def _evaluate(results: Path, sequence: Path) -> tuple[Inputs, Evaluation]:
 
 def _try_to_draw(picture: Path, inputs: Inputs, evaluation: Evaluation, errors: Console) -> bool:
     """Save the picture, or say in one line what it needs."""
-    from vo.evaluation.plots import save_plot
+    from vo.outputs.evaluation.plots import save_plot
 
     try:
         save_plot(picture, evaluation, inputs.reference, "vo demo: estimate and ground truth")

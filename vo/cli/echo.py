@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from vo.printable import printable
+from vo.base.printable import printable
 
 
 def echo(text: str, *, err: bool = False) -> None:

@@ -9,9 +9,9 @@ import signal
 import sys
 from types import FrameType
 
+from vo.base.compiling.processor import use_common_instructions
 from vo.cli.frame_stack import with_room
 from vo.cli.garbage import collection_paused
-from vo.compiling.processor import use_common_instructions
 
 _INTERRUPTED = 128 + signal.SIGINT
 
@@ -29,7 +29,7 @@ def _main() -> None:
     # Matrices are small here: a second BLAS thread would only wait and occupy a core, and results
     # may depend on the number of threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Of image formats of which `vo.formats.image_header` does not know the header.
+    # Of image formats of which `vo.base.images.image_header` does not know the header.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
     use_common_instructions()
     # scipy is not used; numba would load it, if installed, to search for a BLAS.

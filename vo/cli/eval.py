@@ -12,8 +12,8 @@ from vo.cli import options
 from vo.cli.echo import echo_json
 
 if TYPE_CHECKING:
-    from vo.evaluation.inputs import Inputs
-    from vo.evaluation.report import Evaluation
+    from vo.outputs.evaluation.inputs import Inputs
+    from vo.outputs.evaluation.report import Evaluation
 
 # Headings of the options in `--help`, besides those in `options`.
 _PAIRING, _METRICS = "Association and alignment", "Metrics"
@@ -145,12 +145,12 @@ def eval_command(
 
       vo eval log.mcap truth.tum --topic estimate=/odom
     """
+    from vo.base.extras import require
     from vo.cli.console import standard_error
     from vo.cli.eval_inputs import read_inputs
     from vo.cli.progress import warnings_on
-    from vo.evaluation.report import evaluate
-    from vo.extras import require
-    from vo.results.output_paths import is_run_folder, refuse_to_overwrite
+    from vo.outputs.evaluation.report import evaluate
+    from vo.outputs.results.output_paths import is_run_folder, refuse_to_overwrite
 
     read = [path for path in (estimate, reference, calibration) if path and not is_run_folder(path)]
     refuse_to_overwrite(read, [picture])
@@ -175,7 +175,7 @@ def eval_command(
         delta_m=delta_m,
     )
     if picture is not None:
-        from vo.evaluation.plots import save_plot
+        from vo.outputs.evaluation.plots import save_plot
 
         save_plot(picture, evaluation, inputs.reference, _title(inputs))
     if json_output:

@@ -6,17 +6,17 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from vo.errors import SourceError, VoError
-from vo.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
-from vo.evaluation.own_truth import has_colour_of_kitti
-from vo.sources.logs.log import Log
-from vo.sources.logs.poses import (
+from vo.base.errors import SourceError, VoError
+from vo.outputs.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
+from vo.outputs.evaluation.own_truth import has_colour_of_kitti
+from vo.recordings.sources.logs.log import Log
+from vo.recordings.sources.logs.poses import (
     choose_pose_source,
     list_pose_sources,
     named_like_truth,
     read_poses,
 )
-from vo.sources.registry import FORMATS, detect_format, open_container, open_source
+from vo.recordings.sources.registry import FORMATS, detect_format, open_container, open_source
 
 _log = logging.getLogger(__name__)
 _ESTIMATE, _TRUTH = "estimate", "truth"

@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from vo.base.printable import counted
 from vo.cli.console import print_table, standard_output
-from vo.evaluation.inputs import Inputs
-from vo.evaluation.report import Evaluation
-from vo.evaluation.statistics import PoseErrors, Statistics
-from vo.printable import counted
+from vo.outputs.evaluation.inputs import Inputs
+from vo.outputs.evaluation.report import Evaluation
+from vo.outputs.evaluation.statistics import PoseErrors, Statistics
 
 _COLUMNS = ("rmse", "mean", "median", "max")
 

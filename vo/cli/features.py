@@ -144,7 +144,7 @@ def features_command(
     from vo.cli.console import standard_error
     from vo.cli.features_run import Request, run_request
     from vo.cli.progress import warnings_on
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite((target, second, calibration, homography), (picture,))
     request = Request(

@@ -9,23 +9,23 @@ from pathlib import Path
 
 from rich.console import Console
 
+from vo.base.config import Config, load_config
+from vo.base.errors import CalibrationError, ConfigError
+from vo.base.feature_settings import OWN_NETWORK
 from vo.cli.features_table import FeaturesResult
 from vo.cli.progress import counting
-from vo.config import Config, load_config
-from vo.errors import CalibrationError, ConfigError
-from vo.feature_settings import OWN_NETWORK
-from vo.features.comparison import compare, one_thread
-from vo.features.detectors import DETECTORS
-from vo.features.methods import KLT, Method, expand, make_method, missing_detectors
-from vo.features.opencv import describe_missing
-from vo.features.repeatability import score_plane
-from vo.laboratory.examination import examine
-from vo.laboratory.images import GreyImage, is_image, read_frame, read_homography, read_image
-from vo.laboratory.pictures import check_picture, check_plot, save_comparison, save_features
-from vo.laboratory.recording_pairs import plan_pairs
-from vo.sources.registry import open_source
-from vo.sources.source import Recording
-from vo.sources.uncalibrated import open_uncalibrated
+from vo.engine.features.detectors import DETECTORS
+from vo.engine.features.opencv import describe_missing
+from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.source import Recording
+from vo.recordings.sources.uncalibrated import open_uncalibrated
+from vo.tools.laboratory.comparison import compare, one_thread
+from vo.tools.laboratory.examination import examine
+from vo.tools.laboratory.images import GreyImage, is_image, read_frame, read_homography, read_image
+from vo.tools.laboratory.methods import KLT, Method, expand, make_method, missing_detectors
+from vo.tools.laboratory.pictures import check_picture, check_plot, save_comparison, save_features
+from vo.tools.laboratory.recording_pairs import plan_pairs
+from vo.tools.laboratory.repeatability import score_plane
 
 _log = logging.getLogger(__name__)
 _SECTIONS = ("features.", "matching.")

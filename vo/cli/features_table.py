@@ -12,9 +12,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from vo.cli.console import print_table, standard_output
-from vo.features.comparison import Comparison
-from vo.features.repeatability import PlaneScore
-from vo.laboratory.examination import FeatureReport
+from vo.tools.laboratory.comparison import Comparison
+from vo.tools.laboratory.examination import FeatureReport
+from vo.tools.laboratory.repeatability import PlaneScore
 
 
 @dataclass(frozen=True)

@@ -58,9 +58,9 @@ def info_command(
     from vo.cli.console import standard_error
     from vo.cli.info_table import print_findings, print_report
     from vo.cli.progress import details_on
-    from vo.inspection.opening import open_leniently
-    from vo.inspection.report import DEFAULT_IMAGES, inspect
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.tools.inspection.opening import open_leniently
+    from vo.tools.inspection.report import DEFAULT_IMAGES, inspect
 
     refuse_to_overwrite((source, calibration), (picture,))
 
@@ -78,7 +78,7 @@ def info_command(
         if not opened.cameras:
             picture = None  # the report contains the reason
         if picture is not None:
-            from vo.inspection.contact_sheet import write_contact_sheet
+            from vo.tools.inspection.contact_sheet import write_contact_sheet
 
             write_contact_sheet(picture, opened)
     if json_output:

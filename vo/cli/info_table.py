@@ -8,9 +8,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
+from vo.base.printable import counted
 from vo.cli.console import standard_output
-from vo.inspection.image_records import CameraReport, PairReport
-from vo.inspection.records import (
+from vo.tools.inspection.image_records import CameraReport, PairReport
+from vo.tools.inspection.records import (
     CalibrationReport,
     Finding,
     ImuMotionReport,
@@ -18,7 +19,6 @@ from vo.inspection.records import (
     LensReport,
     Report,
 )
-from vo.printable import counted
 
 _WORDS = {
     "error": "[bold red]problem:[/]",

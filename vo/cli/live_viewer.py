@@ -28,7 +28,7 @@ def live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[st
     if connect is None and not spawn and not serve:
         yield None
         return
-    from vo.recording.viewer import check_viewer, start_native, start_web, viewer_url
+    from vo.outputs.recorders.viewer import check_viewer, start_native, start_web, viewer_url
 
     if connect is not None:
         url = viewer_url(connect)

@@ -86,8 +86,8 @@ def map_command(
 
       vo map merge ground.map upper.map -o house.map
     """
-    from vo.errors import ConfigError
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.base.errors import ConfigError
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     refuse_to_overwrite(files, [output])
     expected = 2 if action is MapAction.MERGE else 1
@@ -111,7 +111,7 @@ def _do(
     vocabulary: Path | None,
 ) -> dict[str, Any]:
     from vo.api import maps
-    from vo.places.map_contents import chosen_world
+    from vo.tools.maps.contents import chosen_world
 
     if output is None:
         return maps.info(files[0])

@@ -178,10 +178,10 @@ def markers_command(
 
     Exit status: 0 a marker was found, 1 none, or an error, 2 wrong usage.
     """
+    from vo.base.errors import ConfigError
     from vo.cli.console import standard_error
     from vo.cli.markers_run import BoardRequest, Request, run_request, write_sheet
     from vo.cli.progress import warnings_on
-    from vo.errors import ConfigError
 
     if sheet is not None:
         write_sheet(sheet, dictionary, ids, length, is_json=json_output and source is None)

@@ -9,27 +9,27 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from vo.base.errors import CalibrationError, ConfigError
+from vo.base.printable import counted
+from vo.base.types import Bytes, Camera
 from vo.cli.echo import echo, echo_json
 from vo.cli.progress import counting
-from vo.errors import CalibrationError, ConfigError
-from vo.formats.calibration import read_calibration
-from vo.markers.boards import CharucoBoard, MarkerBoard, check_length, make_charuco, make_grid
-from vo.markers.consistency import consistent
-from vo.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
-from vo.markers.dictionaries import AUTO, CANDIDATES, DEFAULT_TO_PRINT, dictionary_name
-from vo.markers.picture import check_picture, draw_markers, save_picture
-from vo.markers.printing import parse_ids, save_sheet
-from vo.markers.records import FrameMarkers
-from vo.markers.search import MarkerFinder, find_too_small
-from vo.markers.table import frame_record, write_csv
-from vo.printable import counted
-from vo.results.output_paths import refuse_to_overwrite
-from vo.sources.listing import IMAGE_SUFFIXES
-from vo.sources.registry import open_source
-from vo.sources.single_image import read_single_image
-from vo.sources.source import Recording
-from vo.sources.uncalibrated import open_uncalibrated
-from vo.types import Bytes, Camera
+from vo.engine.markers.dictionaries import AUTO, CANDIDATES, DEFAULT_TO_PRINT, dictionary_name
+from vo.engine.markers.records import FrameMarkers
+from vo.outputs.results.output_paths import refuse_to_overwrite
+from vo.recordings.formats.calibration import read_calibration
+from vo.recordings.sources.listing import IMAGE_SUFFIXES
+from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.single_image import read_single_image
+from vo.recordings.sources.source import Recording
+from vo.recordings.sources.uncalibrated import open_uncalibrated
+from vo.tools.markers.boards import CharucoBoard, MarkerBoard, check_length, make_charuco, make_grid
+from vo.tools.markers.consistency import consistent
+from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
+from vo.tools.markers.picture import check_picture, draw_markers, save_picture
+from vo.tools.markers.printing import parse_ids, save_sheet
+from vo.tools.markers.search import MarkerFinder, find_too_small
+from vo.tools.markers.table import frame_record, write_csv
 
 _log = logging.getLogger(__name__)
 _FRAMES_FOR_AUTO = 12  # in which the dictionary is searched, spread over the recording

@@ -214,20 +214,20 @@ def match_command(
     """
     import json
 
+    from vo.base.config import load_config
+    from vo.base.errors import ConfigError
     from vo.cli.console import standard_error
     from vo.cli.progress import details_on
-    from vo.config import load_config
-    from vo.errors import ConfigError
-    from vo.features.image_pair import match_images
-    from vo.features.pair_options import (
+    from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.recordings.formats.calibration import read_calibration
+    from vo.recordings.sources.single_image import read_single_image
+    from vo.tools.pairs.image_pair import match_images
+    from vo.tools.pairs.pair_options import (
         check_cameras,
         pair_cameras,
         pair_masks,
         pair_options,
     )
-    from vo.formats.calibration import read_calibration
-    from vo.results.output_paths import refuse_to_overwrite
-    from vo.sources.single_image import read_single_image
 
     if epipolar and picture is None:
         raise ConfigError("--epipolar needs --picture FILE, where the lines are drawn")
@@ -260,11 +260,11 @@ def match_command(
         )
         pair = match_images(images, chosen, pair_masks(settings, images, right=right))
         if picture is not None:
-            from vo.features.pair_picture import write_pair_picture
+            from vo.tools.pairs.pair_picture import write_pair_picture
 
             write_pair_picture(picture, images, pair, epipolar=epipolar)
     if json_output:
-        from vo.features.pair_record import pair_record
+        from vo.tools.pairs.pair_record import pair_record
 
         written = None if picture is None else str(picture)
         echo_json(pair_record(pair, chosen, names) | {"picture": written})

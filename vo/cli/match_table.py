@@ -9,11 +9,11 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
+from vo.base.geometry.transforms import rotation_angle, so3_log
+from vo.base.types import Floats
 from vo.cli.console import standard_output
-from vo.features.image_pair import ImagePair, PairOptions
-from vo.geometry.transforms import rotation_angle, so3_log
-from vo.geometry.two_view_records import ModelKind, RelativePose
-from vo.types import Floats
+from vo.tools.pairs.image_pair import ImagePair, PairOptions
+from vo.tools.pairs.two_view_records import ModelKind, RelativePose
 
 _STEPS = {"keypoints": "features", "matches": "matching", "model": "geometry"}
 

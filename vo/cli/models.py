@@ -11,7 +11,7 @@ from vo.cli import options
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
-    from vo.learned.catalog import Model
+    from vo.engine.learned.catalog import Model
 
 
 class Action(StrEnum):
@@ -78,9 +78,9 @@ def models_command(
       vo models fetch xfeat
       vo run my_sequence/ -o out/ --set features.detector=xfeat
     """
-    from vo.errors import ModelError
-    from vo.learned.catalog import MODELS, find_model
-    from vo.learned.files import path_of
+    from vo.base.errors import ModelError
+    from vo.engine.learned.catalog import MODELS, find_model
+    from vo.engine.learned.files import path_of
 
     if action is Action.FETCH and not names:
         raise ModelError(f"which model? known are {', '.join(MODELS)}")
@@ -100,8 +100,8 @@ def models_command(
 def _do(
     action: Action, model: Model, source: str | None, accept_licence: bool, quiet: bool
 ) -> dict[str, Any]:
-    from vo.learned.fetch import fetch
-    from vo.learned.files import path_of, verify
+    from vo.engine.learned.fetch import fetch
+    from vo.engine.learned.files import path_of, verify
 
     def say(what: str) -> None:
         if not quiet:

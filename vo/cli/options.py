@@ -23,7 +23,7 @@ def offset_ns(right_offset_ms: float | None) -> int | None:
     Raises:
         ConfigError: it is not a usual number.
     """
-    from vo.errors import ConfigError
+    from vo.base.errors import ConfigError
 
     if right_offset_ms is None:
         return None

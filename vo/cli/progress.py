@@ -13,11 +13,11 @@ from rich.live import Live
 from rich.markup import escape
 from rich.text import Text
 
+from vo.base.failures import describe
+from vo.base.printable import counted
+from vo.base.types import Estimate, State
 from vo.cli.console import standard_error
-from vo.failures import describe
-from vo.printable import counted
-from vo.progress import NullProgress, Progress
-from vo.types import Estimate, State
+from vo.runs.progress import NullProgress, Progress
 
 _log = logging.getLogger(__name__)
 _LINE_EVERY_S = 5.0
@@ -179,7 +179,10 @@ def warnings_on(console: Console, *, quiet: bool = False) -> Iterator[None]:
     """
     handler = _LineHandler(console)
     logger = logging.getLogger("vo")
-    talkative = [logging.getLogger(name) for name in ("vo.compiling", "vo.streaming", "vo.learned")]
+    talkative = [
+        logging.getLogger(name)
+        for name in ("vo.base.compiling", "vo.outputs.streaming", "vo.engine.learned")
+    ]
     logger.addHandler(handler)
     if not quiet:
         for each in talkative:

@@ -10,24 +10,30 @@ from typing import Any
 
 from rich.markup import escape
 
+from vo.base.errors import CalibrationError, ConfigError, InputError, OutputError
+from vo.base.files.complete_file import complete_file
+from vo.base.types import Bytes, Camera
 from vo.cli.console import standard_error, standard_output
 from vo.cli.echo import echo, echo_json
 from vo.cli.progress import counting, warnings_on
-from vo.errors import CalibrationError, ConfigError, InputError, OutputError
-from vo.features.pair_options import check_cameras
-from vo.formats.calibration import read_calibration
-from vo.formats.complete_file import complete_file
-from vo.objects.database import DETECTOR, ObjectDatabase
-from vo.objects.picture import check_picture, write_objects_picture
-from vo.objects.tables import FrameObjects, csv_text, frame_record, object_record, track_record
-from vo.objects.tracks import ObjectTracker, Track
-from vo.results.output_paths import refuse_to_overwrite
-from vo.sources.listing import IMAGE_SUFFIXES
-from vo.sources.registry import open_source
-from vo.sources.single_image import read_single_image
-from vo.sources.source import Recording
-from vo.sources.uncalibrated import open_uncalibrated
-from vo.types import Bytes, Camera
+from vo.outputs.results.output_paths import refuse_to_overwrite
+from vo.recordings.formats.calibration import read_calibration
+from vo.recordings.sources.listing import IMAGE_SUFFIXES
+from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.single_image import read_single_image
+from vo.recordings.sources.source import Recording
+from vo.recordings.sources.uncalibrated import open_uncalibrated
+from vo.tools.objects.database import DETECTOR, ObjectDatabase
+from vo.tools.objects.picture import check_picture, write_objects_picture
+from vo.tools.objects.tables import (
+    FrameObjects,
+    csv_text,
+    frame_record,
+    object_record,
+    track_record,
+)
+from vo.tools.objects.tracks import ObjectTracker, Track
+from vo.tools.pairs.pair_options import check_cameras
 
 _USAGE = {
     "add": "vo recognize add NAME IMAGE…",

@@ -112,8 +112,8 @@ def render_command(
     """
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
-    from vo.rendering.render import RenderOptions, render
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.tools.rendering.render import RenderOptions, render
 
     place = RenderOptions(
         None if at is None else _numbers(at), _frame_and_length(in_front), size, up.value, frame

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vo.base.printable import counted
 from vo.cli import options
 from vo.cli.echo import echo, echo_json
-from vo.printable import counted
 
 if TYPE_CHECKING:
-    from vo.report.entry import Entry
-    from vo.report.run_folder import RunRecord
+    from vo.outputs.report.entry import Entry
+    from vo.outputs.report.run_folder import RunRecord
 
 
 Runs = Annotated[
@@ -70,12 +70,12 @@ def report_command(
 
       vo report out/mono out/stereo -o compared.html --picture figures/
     """
+    from vo.base.extras import require
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
-    from vo.extras import require
-    from vo.report.page import make_page, write_page, write_plots
-    from vo.report.plots.catalogue import draw_all
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.report.page import make_page, write_page, write_plots
+    from vo.outputs.report.plots.catalogue import draw_all
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     require("matplotlib", extra="report", what="reports")
     page = output or (runs[0] if len(runs) == 1 else Path()) / "report.html"
@@ -96,8 +96,8 @@ def report_command(
 
 
 def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:
-    from vo.report.entry import first_stamps, names_of
-    from vo.report.run_folder import read_run
+    from vo.outputs.report.entry import first_stamps, names_of
+    from vo.outputs.report.run_folder import read_run
 
     records = [read_run(folder) for folder in folders]
     described = zip(names_of(folders), range(len(folders)), records, strict=True)
@@ -111,7 +111,7 @@ def _entry(
     name: str, number: int, run: RunRecord, zero_ns: int, truth: Path | None, images: bool
 ) -> Entry:
     from vo.cli.report_sources import evaluate_run, open_recording, take_thumbnails
-    from vo.report.entry import Entry
+    from vo.outputs.report.entry import Entry
 
     source, why_no_truth = open_recording(run)
     evaluated = evaluate_run(run, truth, source, why_no_truth)

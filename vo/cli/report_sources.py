@@ -8,18 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.errors import EvaluationError, SourceError, VoError
+from vo.base.types import Mode, Trajectory
 from vo.cli.eval_inputs import is_log, truth_of_log
-from vo.errors import EvaluationError, SourceError, VoError
-from vo.evaluation.causal_path import tracked_part
-from vo.evaluation.inputs import Inputs, load_inputs
-from vo.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
-from vo.evaluation.report import Evaluation, evaluate
-from vo.report.entry import Thumbnail
-from vo.report.events import choose_events, shrink
-from vo.report.run_folder import RunRecord
-from vo.sources.registry import open_source
-from vo.sources.source import Recording
-from vo.types import Mode, Trajectory
+from vo.outputs.evaluation.causal_path import tracked_part
+from vo.outputs.evaluation.inputs import Inputs, load_inputs
+from vo.outputs.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
+from vo.outputs.evaluation.report import Evaluation, evaluate
+from vo.outputs.report.entry import Thumbnail
+from vo.outputs.report.events import choose_events, shrink
+from vo.outputs.report.run_folder import RunRecord
+from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.source import Recording
 
 _NS_PER_S = 1e9
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import IO
 
-from vo.errors import OutputError
+from vo.base.errors import OutputError
 
 _FIRST_FREE = 3  # 0 to 2 are the standard streams, even where they are closed
 

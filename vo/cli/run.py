@@ -316,6 +316,6 @@ def run_command(
 
 def _process_start() -> float:
     """Start of this process on the clock of `time.perf_counter`."""
-    from vo.results.environment import process_age_s
+    from vo.outputs.results.environment import process_age_s
 
     return time.perf_counter() - (process_age_s() or 0.0)

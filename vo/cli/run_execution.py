@@ -18,24 +18,24 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from vo.config import Config
-    from vo.progress import Progress
-    from vo.results.summary import Summary
-    from vo.streaming.sink import PoseSink
+    from vo.base.config import Config
+    from vo.outputs.results.summary import Summary
+    from vo.outputs.streaming.sink import PoseSink
+    from vo.runs.progress import Progress
 
 
 def execute(request: RunRequest) -> None:
     """Run the odometry, show its progress, and print its summary.
 
     Raises:
-        VoError: as `vo.run_recording.run`, or a setting is invalid.
+        VoError: as `vo.runs.run_recording.run`, or a setting is invalid.
         typer.Exit: the run was interrupted, or its path is not what the request asks for.
     """
     outputs = request.outputs
     with stop_signals_as_interrupts(outputs.folder) as signals, ExitStack() as stack:
         with collection_paused():
             config, optimizer_process = _start_optimizer(request.settings, stack)
-            import vo.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
+            import vo.runs.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
             from vo.cli.console import standard_error
             from vo.cli.progress import make_progress, warnings_on
         console = standard_error()
@@ -73,9 +73,9 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
 
 def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
     """Load the settings and start the optimizer's process, before this one loads its modules."""
-    from vo.backend.launch import child_started_early
-    from vo.config import load_config
-    from vo.scheduling import available_cores
+    from vo.base.config import load_config
+    from vo.base.scheduling import available_cores
+    from vo.engine.backend.launch import child_started_early
 
     # Warnings about settings come before the console of the other ones is loaded.
     if logging.lastResort is not None:
@@ -94,9 +94,9 @@ def _run(
 ) -> Summary:
     from vo.cli.live_viewer import live_viewer
     from vo.cli.standard_input import NAME, spooled_input
-    from vo.recording.exports import Exports
-    from vo.run_recording import run
-    from vo.scaling.creation import ScaleOptions
+    from vo.outputs.recorders.exports import Exports
+    from vo.runs.run_recording import run
+    from vo.runs.scaling.creation import ScaleOptions
 
     given, shown, outputs = request.input, request.visualisation, request.outputs
     poses = _pose_targets(outputs, stack)
@@ -136,7 +136,7 @@ def _run(
 def _pose_targets(outputs: Outputs, stack: ExitStack) -> list[str | PoseSink]:
     """Where to send poses; standard output is reserved for them if they are written there."""
     from vo.cli.reserved_output import reserved_standard_output
-    from vo.streaming.json_lines import JsonLines
+    from vo.outputs.streaming.json_lines import JsonLines
 
     if not outputs.poses_on_standard_output:
         return list(outputs.poses)

@@ -89,7 +89,7 @@ class Visualisation(NamedTuple):
 class Outputs(NamedTuple):
     """Files and text to write; `profile_since` is the process start on `time.perf_counter`.
 
-    `poses` are addresses of `vo.streaming.address`.
+    `poses` are addresses of `vo.outputs.streaming.address`.
     """
 
     folder: Path

@@ -10,7 +10,7 @@ import typer
 from vo.cli.echo import echo
 
 if TYPE_CHECKING:
-    from vo.results.summary import Summary
+    from vo.outputs.results.summary import Summary
 
 NO_PATH, UNDER_SHARE = 3, 4
 """Exit status without any pose, and where `--fail-under` is not reached."""

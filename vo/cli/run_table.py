@@ -10,14 +10,14 @@ from typing import NamedTuple
 from rich.console import Console
 from rich.markup import escape
 
+from vo.base.printable import counted
+from vo.base.records.closed_loops import ClosedLoop, Relocalisation
+from vo.base.records.metric_scale import MetricScale
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
-from vo.closed_loops import ClosedLoop, Relocalisation
-from vo.metric_scale import MetricScale
-from vo.printable import counted
-from vo.results.folder import RESULTS
-from vo.results.profile import Profile
-from vo.results.summary import Summary
+from vo.outputs.results.folder import RESULTS
+from vo.outputs.results.profile import Profile
+from vo.outputs.results.summary import Summary
 
 _COLOURS = {"good": "[green]", "caution": "[yellow]", "bad": "[red]"}
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
-from vo.errors import SourceError, VoError
+from vo.base.errors import SourceError, VoError
 
 NAME = "standard input"
 """Name of the recording in messages and results."""

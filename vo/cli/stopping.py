@@ -16,7 +16,7 @@ import typer
 from vo.cli.echo import echo
 
 if TYPE_CHECKING:
-    from vo.progress import Progress
+    from vo.runs.progress import Progress
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 

@@ -14,7 +14,7 @@ from vo.cli.echo import echo_json
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from vo.batch.sweep import SweepResult
+    from vo.runs.batch.sweep import SweepResult
 
 _SEARCH = "What is tried"  # heading of options in `--help`
 _MAX_ROWS = 20
@@ -114,14 +114,14 @@ def sweep_command(
 
     Exit status: 0, 1 error, 2 wrong usage, 130 Ctrl-C.
     """
-    from vo.batch.execution import Limits
-    from vo.batch.job import Job
-    from vo.batch.planning import plan
-    from vo.batch.sweep import SweepOptions, check_spaces, parse_space, run_sweep
     from vo.cli.batch import make_engine
     from vo.cli.batch_table import BatchBar
     from vo.cli.console import standard_error, standard_output
     from vo.cli.progress import warnings_on
+    from vo.runs.batch.execution import Limits
+    from vo.runs.batch.job import Job
+    from vo.runs.batch.planning import plan
+    from vo.runs.batch.sweep import SweepOptions, check_spaces, parse_space, run_sweep
 
     if not sources and manifest is None:
         raise typer.BadParameter("give recordings, folders or URLs, or a --manifest")
@@ -164,8 +164,8 @@ def _print(result: SweepResult, output: Path, console: Console) -> None:
     from rich import box
     from rich.table import Table
 
-    from vo.batch.sweep import BEST
     from vo.cli.console import print_table
+    from vo.runs.batch.sweep import BEST
 
     table = Table(box=box.SIMPLE_HEAD if console.is_terminal else box.ASCII2, pad_edge=False)
     for name in ("trial", "errors, ratio", "CPU time, ratio"):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from vo.base.printable import counted
 from vo.cli import completion, options
 from vo.cli.echo import echo, echo_json
-from vo.printable import counted
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -178,7 +178,7 @@ def synth_command(
         raise typer.BadParameter("give the folder or file to create", param_hint="OUTPUT")
     from data_synth.recipe import load_recipe
     from vo.cli.progress import warnings_on
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_to_overwrite
 
     scene = {"world": world, "motion": motion, "camera": camera, "mono": mono}
     sampling = {"seconds": seconds, "fps": fps, "seed": seed}
@@ -211,7 +211,7 @@ def _list_choices(as_json: bool) -> None:
 
 def _effect_settings(text: str | None) -> list[str]:
     """Settings of a list of effects, such as `none,blur=2`."""
-    from vo.errors import ConfigError
+    from vo.base.errors import ConfigError
 
     parts = [part.strip() for part in (text or "").split(",") if part.strip()]
     settings = []

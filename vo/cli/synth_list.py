@@ -9,7 +9,7 @@ from rich.table import Table
 
 from data_synth.cameras import camera_names, load_rig
 from data_synth.recipe import Effects, ImuRecipe, Recipe, load_recipe, recipe_names
-from vo.settings import Section
+from vo.base.settings import Section
 
 
 def choices() -> dict[str, Any]:

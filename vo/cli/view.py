@@ -15,7 +15,7 @@ from vo.cli import options
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
-    from vo.recording.viewer import ViewerProcess
+    from vo.outputs.recorders.viewer import ViewerProcess
 
 _MAGIC = b"RRF"  # first bytes of every .rrd file
 _LOCALHOST = "127.0.0.1"
@@ -71,7 +71,7 @@ def view_command(
 
     Exit status: 0 done, 1 error, 2 wrong usage.
     """
-    from vo.recording.viewer import start_native
+    from vo.outputs.recorders.viewer import start_native
 
     file = find_recording(recording)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # to stop the viewer, too
@@ -100,8 +100,8 @@ def _text_of(as_json: bool, quiet: bool) -> Callable[[Path, str, int], None]:
 def _serve(file: Path, port: int, bind: str, show: Callable[[Path, str, int], None]) -> None:
     from urllib.parse import urlsplit
 
-    from vo.recording.file_server import FileServer
-    from vo.recording.viewer import host_of, start_web
+    from vo.outputs.recorders.file_server import FileServer
+    from vo.outputs.recorders.viewer import host_of, start_web
 
     viewer = start_web(port=port, bind=bind)
     with contextlib.ExitStack() as stack:
@@ -128,7 +128,7 @@ def find_recording(path: Path) -> Path:
     Raises:
         SourceError: there is none, or it is not an .rrd file.
     """
-    from vo.errors import SourceError
+    from vo.base.errors import SourceError
 
     file = path
     if path.is_dir():

@@ -63,9 +63,9 @@ def vocabulary_command(
 
       vo vocabulary train monday/ tuesday/ -o mine.words
     """
-    from vo.laboratory.vocabulary_training import train_on
-    from vo.places.vocabulary_file import write_vocabulary
-    from vo.results.output_paths import refuse_to_overwrite
+    from vo.engine.places.vocabulary_file import write_vocabulary
+    from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.tools.laboratory.vocabulary_training import train_on
 
     def report(name: str, count: int) -> None:
         if not quiet:

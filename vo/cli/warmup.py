@@ -24,11 +24,11 @@ def warmup_command(
 
       vo warmup
     """
+    from vo.base.compiling import store
     from vo.cli.console import standard_error
     from vo.cli.progress import warnings_on
-    from vo.compiling import store
-    from vo.odometry import Odometry
-    from vo.warmup import warm_up
+    from vo.engine.odometry import Odometry
+    from vo.engine.warmup import warm_up
 
     begin = time.monotonic()
     with warnings_on(standard_error(), quiet=quiet):

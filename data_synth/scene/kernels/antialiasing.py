@@ -24,7 +24,7 @@ from data_synth.scene.kernels.records import (
 from data_synth.scene.kernels.supersampling import Scratch, supersample_tile
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats, Floats32
+from vo.base.types import Floats, Floats32
 
 _TILE = 8
 _MAX_GROUPS = 5  # surfaces distinguished within a pixel

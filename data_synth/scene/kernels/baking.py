@@ -25,7 +25,7 @@ from data_synth.scene.kernels.records import (
 )
 from data_synth.scene.kernels.vectors import add_scaled, axis_vector, dot, subtract
 from data_synth.scene.world import World
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 _DARKEST = 0.35  # ambient light in the deepest corner
 _LIFT_M = 0.012  # light is measured just above marks and rugs that lie on a surface

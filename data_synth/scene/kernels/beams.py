@@ -13,7 +13,7 @@ from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.records import CAST_TILE, ZERO, Beam, Rotation, Tile, Vector
 from data_synth.scene.kernels.vectors import add_scaled, maximum, minimum, rotate, subtract
 from data_synth.scene.shutter import Shutter
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 @inlined

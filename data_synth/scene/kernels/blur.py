@@ -21,7 +21,7 @@ from data_synth.scene.kernels.records import (
 )
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats, Floats32, Ints
+from vo.base.types import Floats, Floats32, Ints
 
 _MAX_LOST_MOTION_PX = 2.0  # that the blur may lack at the border of an image
 

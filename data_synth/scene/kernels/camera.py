@@ -8,7 +8,7 @@ from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.records import Pair, Pose, Rotation, Vector
 from data_synth.scene.kernels.vectors import rotate, rotate_xy
 from data_synth.scene.shutter import Shutter
-from vo.types import Floats
+from vo.base.types import Floats
 
 POSE_SIZE = 13  # numbers of a stored pose: rotation by rows, origin, time
 

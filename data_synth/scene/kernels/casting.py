@@ -29,7 +29,7 @@ from data_synth.scene.kernels.texture_filter import NO_FILTER
 from data_synth.scene.kernels.vectors import rotate
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 @entry_point

@@ -16,7 +16,7 @@ from data_synth.scene.kernels.records import Beam, SolidList, Tile
 from data_synth.scene.kernels.vectors import add_scaled, maximum, minimum, subtract
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 
 @entry_point

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-from vo.compiling.function import NO_REFCOUNT, compiled
+from vo.base.compiling.function import NO_REFCOUNT, compiled
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 

@@ -13,7 +13,7 @@ from data_synth.scene.kernels.motion import exposure_sweep, pixel_motion
 from data_synth.scene.kernels.records import Pair, View, index
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 _MIN_JUMP = 0.01  # of depth on the ground, relative; less is no edge
 _JUMP = 3.0  # change of inverse depth from pixel to pixel, relative to the changes on both sides

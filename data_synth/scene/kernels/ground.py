@@ -17,7 +17,7 @@ from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.records import Vector, index
 from data_synth.scene.kernels.vectors import reciprocal
 from data_synth.scene.world import World
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 _MAX_STEPS = 6  # cells that `follow_ground` tries
 

@@ -10,7 +10,7 @@ from data_synth.scene.kernels.beams import beam_area
 from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.records import FAR_M, Beam
 from data_synth.scene.world import World
-from vo.types import Floats32
+from vo.base.types import Floats32
 
 
 @inlined

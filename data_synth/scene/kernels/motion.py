@@ -8,7 +8,7 @@ from data_synth.scene.kernels.records import NOTHING, ZERO, Pair, Sweep, View
 from data_synth.scene.kernels.vectors import add_scaled, rotate, rotate_back, subtract
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats
+from vo.base.types import Floats
 
 
 @inlined

@@ -15,7 +15,7 @@ from data_synth.scene.kernels.records import GROUND, ZERO, Vector
 from data_synth.scene.kernels.solids import intersect_solid
 from data_synth.scene.kernels.vectors import add_scaled, reciprocal, tangent_basis
 from data_synth.scene.world import World
-from vo.types import Floats, Ints
+from vo.base.types import Floats, Ints
 
 _MAX_TESTED_SINGLY = 6  # nearby solids; for more, walking the tree is faster
 

@@ -25,7 +25,7 @@ from data_synth.scene.kernels.records import (
 )
 from data_synth.scene.kernels.solids import intersect_box, intersect_cylinder, intersect_ellipsoid
 from data_synth.scene.world import World
-from vo.types import Floats
+from vo.base.types import Floats
 
 _RAY, _START, _TIME, _T, _SURFACE = 0, 3 * LANES, 6 * LANES, 7 * LANES, 8 * LANES
 PACKET_SIZE = 9 * LANES

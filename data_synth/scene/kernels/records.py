@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_synth.scene.solids import Kind
-from vo.types import Floats, Floats32, Ints
+from vo.base.types import Floats, Floats32, Ints
 
 BAND_ROWS = 32  # rows of an image that a thread renders at a time
 CULL_TILE, CAST_TILE = 32, 8  # sides, in pixels, of tiles with a list of candidates of their own

@@ -32,7 +32,7 @@ from data_synth.scene.kernels.shading import choose_filter, surface_radiance
 from data_synth.scene.kernels.vectors import rotate, rotate_xy
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World
-from vo.types import Floats, Floats32, Ints
+from vo.base.types import Floats, Floats32, Ints
 
 _MAX_NEIGHBOURS = 4  # solids in the 3 x 3 pixels; with more, an unseen one may lie between them
 

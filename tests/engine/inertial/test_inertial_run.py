@@ -1,0 +1,394 @@
+"""Runs of one camera with an inertial sensor."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from data_synth.frame_rendering import render_frames
+from data_synth.plan import make_plan
+from data_synth.recipe import load_recipe
+from data_synth.writers import euroc
+from vo.base.config import load_config
+from vo.base.geometry.similarity import umeyama
+from vo.base.geometry.transforms import adjoint, inverse, se3_log
+from vo.base.types import Estimate, Floats, State
+from vo.outputs.evaluation.ape import absolute_errors
+from vo.outputs.evaluation.causal_path import tracked_part
+from vo.outputs.evaluation.inputs import load_inputs
+from vo.outputs.streaming.sink import PoseUpdate
+from vo.recordings.formats.trajectory import read_tum
+from vo.runs.run_recording import run
+
+GYRO_BIAS, ACCEL_BIAS = np.array([0.02, -0.03, 0.01]), np.array([0.1, -0.1, 0.2])
+BLACK = slice(66, 78)
+FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight seconds by hand through a room, one camera of 353 x 226 pixels, as EuRoC."""
+    settings = ["motion=handheld", "seconds=8", "fps=12", "scale=0.47", "mono=true", "seed=4"]
+    plan = make_plan(load_recipe(None, settings))
+    assert plan.recording.imu is not None
+    imu = plan.recording.imu
+    imu = replace(imu, gyro=imu.gyro + GYRO_BIAS, accel=imu.accel + ACCEL_BIAS)
+    plan = replace(plan, recording=replace(plan.recording, imu=imu))
+    folder = tmp_path_factory.mktemp("inertial") / "walk"
+    with ThreadPoolExecutor() as pool:
+        shots = render_frames(plan, pool, range(len(plan.recording.stamps_ns[0])))
+        euroc.write(folder, plan.recording, shots, "png")
+    return folder
+
+
+def _run(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:
+    config = load_config(overrides=settings)
+    return run(recording, output, config=config, **options).to_dict()
+
+
+@pytest.fixture(scope="module")
+def inertial(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    output = tmp_path_factory.mktemp("inertial_run")
+    return output, _run(walk, output)
+
+
+@pytest.fixture(scope="module")
+def visual(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    output = tmp_path_factory.mktemp("visual_run")
+    return output, _run(walk, output, "inertial.enabled=false")
+
+
+def _poses(output: Path, recording: Path, name: str = "trajectory.tum") -> tuple[Floats, Floats]:
+    """Estimated and true poses at the same times."""
+    found, truth = read_tum(output / name), read_tum(recording / "groundtruth.tum")
+    rows = np.searchsorted(truth.stamps_ns, found.stamps_ns - 1000)
+    return found.world_from_cam, truth.world_from_cam[rows]
+
+
+def _scale_error(output: Path, recording: Path) -> float:
+    found, truth = _poses(output, recording)
+    return abs(1.0 / umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=True).scale - 1.0)
+
+
+def test_lengths_are_metres(inertial: tuple[Path, dict[str, Any]], walk: Path) -> None:
+    output, summary = inertial
+    assert summary["length_unit"] == "m" and summary["verdict"].startswith("complete")
+    assert not [w for w in summary["warnings"] if "scale" in w]
+    assert _scale_error(output, walk) < 0.01
+    found, truth = _poses(output, walk)
+    fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    aligned = found.copy()
+    aligned[:, :3, :3] = fit.rotation @ found[:, :3, :3]
+    aligned[:, :3, 3] = found[:, :3, 3] @ fit.rotation.T + fit.translation
+    length = np.linalg.norm(np.diff(truth[:, :3, 3], axis=0), axis=1).sum()
+    assert absolute_errors(aligned, truth).translation.rmse < 0.005 * length
+
+
+def test_world_is_upright(inertial: tuple[Path, dict[str, Any]], walk: Path) -> None:
+    found, truth = _poses(inertial[0], walk)
+    up = (found[:, :3, :3] @ np.swapaxes(truth[:, :3, :3], 1, 2))[:, 2, 2]
+    assert np.degrees(np.arccos(np.clip(up, -1.0, 1.0))).max() < 0.5
+    np.testing.assert_allclose(found[0, :3, 3], 0.0, atol=2e-3)
+    assert found[0, 0, 2] > 0.5 and abs(found[0, 1, 2]) < 0.01  # looks along x
+
+
+def test_states_are_reported_with_their_errors(
+    inertial: tuple[Path, dict[str, Any]], walk: Path
+) -> None:
+    use = inertial[1]["inertial"]
+    assert use["reason"] is None and use["metric_worlds"] == [0] and 0 < use["first_frame"] < 90
+    states = use["states"]
+    assert 0.0 < states["scale_sigma"] < 0.02 and states["tilt_sigma_deg"] < 0.3
+    table = np.loadtxt(
+        walk / "mav0/state_groundtruth_estimate0/data.csv", delimiter=",", comments="#"
+    )
+    gyro_error = states["gyro_bias_rad_s"] - table[-1, 11:14] - GYRO_BIAS
+    accel_error = states["accel_bias_m_s2"] - table[-1, 14:17] - ACCEL_BIAS
+    assert np.linalg.norm(gyro_error) < 0.05 * np.linalg.norm(GYRO_BIAS)
+    assert (np.abs(accel_error) < 4 * np.array(states["accel_bias_sigma_m_s2"])).all()
+
+
+def test_causal_path_is_metric_from_the_first_states_on(
+    inertial: tuple[Path, dict[str, Any]], walk: Path
+) -> None:
+    output, summary = inertial
+    found, truth = _poses(output, walk, "causal.tum")
+    late = read_tum(output / "causal.tum").stamps_ns
+    first = read_tum(walk / "groundtruth.tum").stamps_ns[summary["inertial"]["first_frame"] + 15]
+    rows = late > first
+    scale = umeyama(found[rows, :3, 3], truth[rows, :3, 3], with_scale=True).scale
+    assert abs(scale - 1.0) < 0.03
+
+
+def test_runs_are_repeatable(
+    inertial: tuple[Path, dict[str, Any]], walk: Path, tmp_path: Path
+) -> None:
+    _run(walk, tmp_path / "out", "threads=1")
+    for name in FILES:
+        assert (tmp_path / "out" / name).read_bytes() == (inertial[0] / name).read_bytes(), name
+
+
+def test_without_the_sensor_the_scale_is_unknown(visual: tuple[Path, dict[str, Any]]) -> None:
+    summary = visual[1]
+    assert "inertial" not in summary and summary["length_unit"] == "map units"
+    assert any("the scale is unknown" in warning for warning in summary["warnings"])
+
+
+def test_right_time_offset_is_confirmed(inertial: tuple[Path, dict[str, Any]]) -> None:
+    use = inertial[1]["inertial"]
+    assert abs(use["time_offset_s"]) < min(0.001, 4.0 * use["time_offset_sigma_s"])
+    assert use["used_time_offset_s"] == use["given_time_offset_s"] == 0.0
+
+
+def test_wrong_time_offset_is_found_used_and_told(walk: Path, tmp_path: Path) -> None:
+    recording = tmp_path / "walk"
+    shutil.copytree(walk, recording)
+    table = recording / "mav0/imu0/data.csv"
+    lines = table.read_text().splitlines()
+    changed = [
+        f"{int(line.split(',')[0]) - 40_000_000},{line.split(',', 1)[1]}" for line in lines[1:]
+    ]
+    table.write_text("\n".join([lines[0], *changed]) + "\n")
+    summary = _run(recording, tmp_path / "out")
+    use = summary["inertial"]
+    assert abs(use["time_offset_s"] + 0.04) < 0.001
+    assert use["used_time_offset_s"] == use["time_offset_s"] and use["given_time_offset_s"] == 0.0
+    told = [w for w in summary["warnings"] if "were added to stamps of images" in w]
+    assert len(told) == 1 and "not +0.0 ms as given" in told[0]
+    assert summary["length_unit"] == "m" and _scale_error(tmp_path / "out", walk) < 0.01
+
+
+def _in_g(row: list[str]) -> list[str]:
+    return row[:4] + [repr(float(v) / 9.80665) for v in row[4:7]]
+
+
+def _late(row: list[str]) -> list[str]:
+    return [str(int(row[0]) + 60_000_000_000), *row[1:]]
+
+
+def _flipped(row: list[str]) -> list[str]:
+    return [row[0], row[1], repr(-float(row[2])), repr(-float(row[3])), *row[4:]]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_in_g, "probably in g"),
+        (_late, "covers 0 % of the images"),
+        (_flipped, "rotations by images and by the gyroscope differ"),
+    ],
+)
+def test_a_wrong_sensor_is_told_and_images_alone_are_used(
+    change: Callable[[list[str]], list[str]],
+    words: str,
+    walk: Path,
+    visual: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+) -> None:
+    recording = tmp_path / "walk"
+    shutil.copytree(walk, recording)
+    table = recording / "mav0/imu0/data.csv"
+    lines = table.read_text().splitlines()
+    changed = [",".join(change(line.split(","))) for line in lines[1:]]
+    table.write_text("\n".join([lines[0], *changed]) + "\n")
+    summary = _run(recording, tmp_path / "out")
+    told = [w for w in summary["warnings"] if words in w]
+    assert len(told) == 1 and "\n" not in told[0] and "only the images are" in told[0]
+    assert summary["length_unit"] == "map units"
+    for name in FILES:
+        assert (tmp_path / "out" / name).read_bytes() == (visual[0] / name).read_bytes(), name
+
+
+def test_two_cameras_keep_their_path(synthetic_stereo: Path, tmp_path: Path) -> None:
+    with_imu = _run(synthetic_stereo, tmp_path / "with")
+    without = _run(synthetic_stereo, tmp_path / "without", "inertial.enabled=false")
+    assert with_imu["inertial"]["sensor"] and "inertial" not in without
+    for name in FILES:
+        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+
+
+def test_rendered_hall_is_metric(shared_data: Path, tmp_path: Path) -> None:
+    recording = shared_data / "rendered_hall_stereo"
+    summary = _run(recording, tmp_path, mode="mono")
+    assert summary["length_unit"] == "m"
+    assert _scale_error(tmp_path, recording) < 0.01
+    assert json.loads((tmp_path / "summary.json").read_text())["inertial"]["states"] is not None
+
+
+@pytest.fixture(scope="module")
+def dark_walk(walk: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same with a second of noisy black images."""
+    folder = tmp_path_factory.mktemp("dark") / "walk"
+    return _darkened(walk, folder, BLACK)
+
+
+def _darkened(recording: Path, copy: Path, frames: slice) -> Path:
+    """A copy in which all images of some frames are black, with noise."""
+    shutil.copytree(recording, copy)
+    rng = np.random.default_rng(1)
+    for folder in sorted(copy.glob("mav0/cam*/data")):
+        for image in sorted(folder.iterdir())[frames]:
+            grey = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
+            assert grey is not None
+            black = rng.normal(2.0, 1.5, grey.shape).clip(0, 255).astype(np.uint8)
+            image.unlink()  # it may be read-only
+            assert cv2.imwrite(str(image), black)
+    return copy
+
+
+class _Estimates:
+    """Keeps the estimates of a run, and their records."""
+
+    name = "estimates"
+
+    def __init__(self) -> None:
+        self.found: list[Estimate] = []
+        self.records: list[dict[str, Any]] = []
+
+    def send(self, update: PoseUpdate) -> None:
+        self.found.append(update.estimate)
+        self.records.append(json.loads(update.record))
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture(scope="module")
+def dark_run(
+    dark_walk: Path, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Any], _Estimates]:
+    output, estimates = tmp_path_factory.mktemp("dark_run"), _Estimates()
+    return output, _run(dark_walk, output, poses=[estimates]), estimates
+
+
+def test_frames_without_light_are_predicted_at_once(
+    dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
+) -> None:
+    output, _, estimates = dark_run
+    found = estimates.found
+    lost = [e.frame_index for e in found if e.predicted is not None]
+    assert lost == list(range(BLACK.start, BLACK.stop))
+    for each in found[BLACK]:
+        assert each.state is State.LOST and each.failure is not None
+        assert each.world_from_cam0 is None and each.inliers == 0 and not each.is_keyframe
+    causal, truth = _poses(output, dark_walk, "causal.tum")
+    stamps_ns = read_tum(output / "causal.tum").stamps_ns
+    assert set(stamps_ns) >= {e.stamp_ns for e in found[BLACK]}
+    row = int(np.flatnonzero(stamps_ns == found[BLACK.start].stamp_ns)[0])
+    rows = slice(row, row + BLACK.stop - BLACK.start)
+    motion = inverse(causal[row - 1]) @ causal[rows]
+    off = inverse(motion) @ inverse(truth[row - 1]) @ truth[rows]
+    error = np.array([se3_log(each) for each in off])
+    assert np.abs(error[:, :3]).max() < 0.005 and np.abs(error[:, 3:]).max() < 0.03
+    still = np.linalg.norm((inverse(truth[row - 1]) @ truth[rows])[:, :3, 3], axis=1)
+    assert still.max() > 0.3  # what is predicted is not small
+
+
+def test_predicted_frames_state_a_covariance_that_grows_and_is_honest(
+    dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
+) -> None:
+    found = dark_run[2].found[BLACK][1:]  # with the newest keyframe optimised
+    covariance = np.array([e.predicted.covariance for e in found if e.predicted is not None])
+    size = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
+    assert (np.diff(size) > 0.0).all() and size[-1] > 1.2 * size[0]
+    keyframe = found[0].keyframes[-1]
+    assert keyframe.covariance is not None and not any(e.keyframes for e in found[1:])
+    truth = read_tum(dark_walk / "groundtruth.tum")
+    stamps_ns = np.array([keyframe.stamp_ns, *(e.stamp_ns for e in found)])
+    true = truth.world_from_cam[np.searchsorted(truth.stamps_ns, stamps_ns - 1000)]
+    poses = np.array([e.causal_pose for e in found])
+    motion = inverse(keyframe.world_from_cam0) @ poses
+    moved = adjoint(inverse(motion))
+    of_motion = covariance - moved @ keyframe.covariance @ np.swapaxes(moved, 1, 2)
+    error = [se3_log(each) for each in inverse(motion) @ inverse(true[0]) @ true[1:]]
+    nees = [e @ np.linalg.solve(c, e) for e, c in zip(error, of_motion, strict=True)]
+    assert 0.1 < np.mean(nees) < 16.8  # 99 % of a chi squared variable of six dimensions
+
+
+def test_records_have_predicted_poses_apart(
+    dark_run: tuple[Path, dict[str, Any], _Estimates],
+) -> None:
+    records = dark_run[2].records
+    lines = (dark_run[0] / "causal.tum").read_text().splitlines()
+    assert sum(r["world_from_cam0"] is not None for r in records) + 12 == len(lines)
+    for n, record in enumerate(records):
+        if not BLACK.start <= n < BLACK.stop:
+            assert record["predicted"] is None
+            continue
+        assert record["state"] == "lost" and record["failure"] == "image_defect"
+        assert record["world_from_cam0"] is record["covariance"] is None
+        numbers = record["predicted"]["position_xyz"] + record["predicted"]["quat_xyzw"]
+        assert numbers in [[float(field) for field in line.split()[1:]] for line in lines]
+
+
+def test_predicted_frames_are_not_counted_as_tracked(
+    dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
+) -> None:
+    output, summary, _ = dark_run
+    assert summary["tracked"] == 96 - 12 and summary["verdict"] == "with gaps"
+    rows = [line.split(",") for line in (output / "frames.csv").read_text().splitlines()]
+    assert [row[2] for row in rows[1:]][BLACK] == ["lost"] * 12
+    causal = read_tum(output / "causal.tum")
+    assert len(tracked_part(causal, output)) == len(causal) - 12
+    (note,) = [n for n in load_inputs(output / "causal.tum", dark_walk).notes if "predicted" in n]
+    assert note.startswith(f"12 of {len(causal)} poses")
+
+
+def test_a_second_without_light_is_bridged(
+    dark_walk: Path,
+    dark_run: tuple[Path, dict[str, Any], _Estimates],
+    inertial: tuple[Path, dict[str, Any]],
+) -> None:
+    output, summary, _ = dark_run
+    assert len(summary["segments"]) == 1 and summary["lost"] == summary["starting"] == 0
+    assert summary["inertial_poses"] == 12 and summary["verdict"] == "with gaps"
+    rows = np.loadtxt(output / "poses.csv", delimiter=",", skiprows=1)
+    assert rows[:, 0].tolist() == list(range(96)) and (rows[BLACK, 4] == 2).all()
+    found, truth = _poses(output, dark_walk)
+    fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    moved = found[:, :3, 3] @ fit.rotation.T + fit.translation
+    error = np.linalg.norm(moved - truth[:, :3, 3], axis=1)
+    usual, truth = _poses(inertial[0], dark_walk)
+    fit = umeyama(usual[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    moved = usual[:, :3, 3] @ fit.rotation.T + fit.translation
+    usual_m = np.linalg.norm(moved - truth[:, :3, 3], axis=1)
+    assert np.sqrt((error**2).mean()) < 1.3 * np.sqrt((usual_m**2).mean()) + 0.002
+    assert error[BLACK].max() < 0.04
+    covariance = (output / "covariance.csv").read_text().splitlines()[1:]
+    dark = [line for line in covariance if BLACK.start <= int(line.split(",")[1]) < BLACK.stop]
+    assert len(dark) == 12 and all(line.split(",")[3] for line in dark)
+
+
+def test_without_the_sensor_a_second_without_light_divides_the_path(
+    dark_walk: Path, tmp_path: Path
+) -> None:
+    summary = _run(dark_walk, tmp_path / "out", "inertial.enabled=false")
+    assert len(summary["segments"]) == 2 and summary["inertial_poses"] == 0
+    dark = {int(image.stem) for image in sorted((dark_walk / "mav0/cam0/data").iterdir())[BLACK]}
+    assert not dark & set(read_tum(tmp_path / "out" / "causal.tum").stamps_ns.tolist())
+
+
+def test_two_seconds_without_light_are_bridged_to_a_new_map_of_two_cameras(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    dark = _darkened(shared_data / "rendered_hall_stereo", tmp_path / "hall", slice(110, 150))
+    summary = _run(dark, tmp_path / "out")
+    assert summary["tracked"] == 160 and summary["inertial_poses"] == 40
+    assert [s["frames"] for s in summary["segments"]] == [200]  # of one world
+    found, truth = _poses(tmp_path / "out", dark)
+    fit = umeyama(found[:, :3, 3], truth[:, :3, 3], with_scale=False)
+    error = np.linalg.norm(
+        found[:, :3, 3] @ fit.rotation.T + fit.translation - truth[:, :3, 3], axis=1
+    )
+    assert error.max() < 0.04
+    rows = (tmp_path / "out" / "frames.csv").read_text().splitlines()[1:]
+    assert {line.split(",")[3] for line in rows} == {"0", "1"}  # two maps

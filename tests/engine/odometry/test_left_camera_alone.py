@@ -1,0 +1,63 @@
+"""Right images that are of no use: the left camera carries on in the same map, in metres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recorded_walk import CONFIG, COUNT, Recording, Run, aligned, changed, track
+
+from vo.base.faults import Fault, FaultKind
+from vo.base.types import Bytes, Frame, State
+from vo.engine.mapping.keyframe_store import MemoryKeyframeStore
+from vo.engine.odometry import Odometry
+from vo.engine.stages import Components
+
+RNG = np.random.default_rng(0)
+ALONE = Fault(FaultKind.LEFT_CAMERA_ALONE, is_handled=True)
+HIDDEN = range(12, 30)
+
+
+def covered(image: Bytes) -> Bytes:
+    return RNG.integers(6, 14, image.shape).astype(np.uint8)
+
+
+def dirty(image: Bytes) -> Bytes:
+    return RNG.integers(0, 256, image.shape).astype(np.uint8)
+
+
+def with_right(change: Callable[[Bytes], Bytes]) -> Callable[[Frame], Frame]:
+    def apply(frame: Frame) -> Frame:
+        assert frame.image1 is not None
+        return replace(frame, images=(frame.image0, change(frame.image1)))
+
+    return apply
+
+
+@pytest.mark.parametrize("change", [covered, dirty])
+def test_a_useless_right_image_is_told_and_the_path_stays_metric(
+    recording: Recording, change: Callable[[Bytes], Bytes]
+) -> None:
+    run = track(recording.rig, changed(recording.frames, HIDDEN, with_right(change)))
+    assert set(run.states) == {State.TRACKING}
+    assert run.numbers == list(range(COUNT))
+    assert [n for n, e in enumerate(run.estimates) if ALONE in e.faults] == list(HIDDEN)
+    ate, _ = aligned(run, recording, with_scale=False)
+    assert ate < 0.01 * recording.path_m
+
+
+def test_keyframes_by_the_left_camera_alone_are_doubted_and_no_others(recording: Recording) -> None:
+    store = MemoryKeyframeStore()
+    odometry = Odometry(recording.rig, CONFIG, Components(keyframe_store=store))
+    for frame in changed(recording.frames, HIDDEN, with_right(covered)):
+        odometry.track(frame)
+    odometry.close()
+    alone = [keyframe for keyframe in store.keyframes if keyframe.frame.index in HIDDEN]
+    assert alone
+    assert [keyframe for keyframe in store.keyframes if keyframe.is_doubted] == alone
+
+
+def test_good_pairs_are_no_fault(stereo: Run) -> None:
+    assert all(e.faults == () for e in stereo.estimates)

@@ -1,0 +1,66 @@
+"""`Odometry.locate`: the pose before the map is extended, with the bits of `track`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from recorded_walk import CONFIG, Recording, Run
+
+from vo.base.types import Estimate, Frame, Rig
+from vo.engine.odometry import Odometry
+
+
+def located(rig: Rig, frames: Iterable[Frame]) -> tuple[list[Estimate], Odometry]:
+    """Each pose at once, the map extended in another thread before the next frame."""
+    odometry = Odometry(rig, CONFIG)
+    estimates = []
+    with ThreadPoolExecutor(1) as pool:
+        for frame in frames:
+            estimates.append(odometry.locate(frame))
+            pool.submit(odometry.update_map).result()
+    odometry.finish()
+    odometry.close()
+    return estimates, odometry
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_poses_at_once_have_the_same_bits(
+    cameras: int, recording: Recording, mono: Run, stereo: Run
+) -> None:
+    run = stereo if cameras == 2 else mono
+    rig = recording.rig if cameras == 2 else recording.mono_rig
+    estimates, odometry = located(rig, recording.frames if cameras == 2 else recording.mono())
+    for estimate, expected in zip(estimates, run.estimates, strict=True):
+        assert estimate.is_keyframe == expected.is_keyframe
+        if expected.world_from_cam0 is None:
+            assert estimate.world_from_cam0 is None
+        else:
+            np.testing.assert_array_equal(estimate.world_from_cam0, expected.world_from_cam0)
+    path, expected_path = odometry.trajectory.trajectory(), run.odometry.trajectory.trajectory()
+    np.testing.assert_array_equal(path.stamps_ns, expected_path.stamps_ns)
+    np.testing.assert_array_equal(path.world_from_cam, expected_path.world_from_cam)
+
+
+def test_keyframes_come_with_the_next_estimate(recording: Recording, stereo: Run) -> None:
+    estimates, _ = located(recording.rig, recording.frames)
+    added = [e.frame_index for e in estimates[1:] if e.is_keyframe]
+    assert len(added) >= 2
+    for before, estimate in zip(estimates, estimates[1:], strict=False):
+        new = [k.frame_index for k in estimate.keyframes]
+        if before.is_keyframe and before.frame_index > 0:
+            assert before.frame_index in new
+        assert estimate.frame_index not in new
+
+
+def test_frames_without_an_update_of_the_map_are_located_all_the_same(
+    recording: Recording, stereo: Run
+) -> None:
+    odometry = Odometry(recording.rig, CONFIG)
+    for frame, expected in zip(recording.frames, stereo.estimates, strict=True):
+        estimate = odometry.locate(frame)
+        assert expected.world_from_cam0 is not None
+        np.testing.assert_array_equal(estimate.world_from_cam0, expected.world_from_cam0)
+    odometry.close()

@@ -1,0 +1,132 @@
+"""Compilation happens in `vo warmup`, or once before the first frame, and never again."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vo.engine import warmup
+
+VO = Path(sys.executable).with_name("vo")
+NOTICE = "compiling the inner loops, once"
+# Creates an odometry, and prints whether the given file exists before the first frame.
+LIBRARY_USE = """
+import logging, sys
+from pathlib import Path
+from vo.base.compiling.processor import use_common_instructions
+use_common_instructions()
+from vo.base.config import load_config
+from vo.engine.odometry import Odometry
+from vo.base.types import Camera, Rig
+
+logging.basicConfig(level=logging.INFO)
+Odometry(Rig(Camera(320, 240, 200.0, 200.0, 160.0, 120.0)), load_config()).close()
+print(Path(sys.argv[1]).exists())
+"""
+
+
+def run(cache: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command,
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
+
+
+def files_in(cache: Path) -> set[str]:
+    return {path.name for path in (cache / "vo").iterdir()}
+
+
+@pytest.fixture(scope="module")
+def first_warmup(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    """Cache folder after `vo warmup`, and what that printed to standard output and error."""
+    cache = tmp_path_factory.mktemp("cache")
+    done = run(cache, VO, "warmup")
+    return cache, done.stdout, done.stderr
+
+
+@pytest.fixture
+def outdated(first_warmup: tuple[Path, str, str], tmp_path: Path) -> tuple[Path, Path]:
+    """A warm cache folder that lacks one function, and the file of that function."""
+    cache = tmp_path / "cache"
+    shutil.copytree(first_warmup[0], cache)
+    for stamp in (cache / "vo").glob("warm-*"):
+        stamp.unlink()
+    (missing,) = (cache / "vo").glob("vo.engine.frontend.fast._contrasts-*")
+    missing.unlink()
+    return cache, missing
+
+
+def test_warmup_compiles_once(first_warmup: tuple[Path, str, str]) -> None:
+    cache, printed, notice = first_warmup
+    assert printed.startswith("compiled in ")
+    assert notice.startswith(NOTICE) and len(notice.splitlines()) == 1
+
+    again = run(cache, VO, "warmup")
+
+    assert again.stdout.startswith("nothing to compile;")
+    assert again.stderr == ""
+
+
+def test_stamp_depends_on_all_compiled_functions() -> None:
+    package = Path(warmup.__file__).parents[1]
+    rooms = {
+        path.parent.relative_to(package).as_posix()
+        for wing in ("base", "engine")
+        for path in (package / wing).rglob("*.py")
+        if "@compiled" in path.read_text(encoding="utf-8")
+    }
+    assert rooms <= set(warmup._ROOMS_WITH_KERNELS)
+
+
+@pytest.mark.parametrize("mode", ["stereo", "mono"])
+def test_run_after_warmup_compiles_nothing(
+    first_warmup: tuple[Path, str, str], synthetic_stereo: Path, tmp_path: Path, mode: str
+) -> None:
+    cache = first_warmup[0]
+    before = files_in(cache)
+
+    done = run(cache, VO, "run", synthetic_stereo, "-o", tmp_path / "out", "--mode", mode)
+
+    assert files_in(cache) == before
+    assert NOTICE not in done.stderr
+
+
+def test_warmup_compiles_what_recordings_with_loops_need(
+    first_warmup: tuple[Path, str, str],
+) -> None:
+    compiled = {name.split("-")[0] for name in files_in(first_warmup[0])}
+    for name in ("relation._best_of", "covisibility._mark_shared", "inverted_index._score"):
+        assert f"vo.engine.places.{name}" in compiled
+    assert "vo.engine.frontend.hamming_kernels.best_in_groups" in compiled
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_run_compiles_what_is_missing(
+    outdated: tuple[Path, Path], synthetic_stereo: Path, tmp_path: Path, quiet: bool
+) -> None:
+    cache, missing = outdated
+    options = ["--quiet"] if quiet else []
+
+    done = run(cache, VO, "run", synthetic_stereo, "-o", tmp_path / "out", "--end", "2", *options)
+
+    assert missing.exists()
+    assert (NOTICE in done.stderr) is not quiet
+    assert run(cache, VO, "warmup").stdout.startswith("nothing to compile;")
+
+
+def test_library_compiles_before_the_first_frame(outdated: tuple[Path, Path]) -> None:
+    cache, missing = outdated
+
+    done = run(cache, sys.executable, "-c", LIBRARY_USE, missing)
+
+    assert done.stdout == "True\n"
+    assert NOTICE in done.stderr

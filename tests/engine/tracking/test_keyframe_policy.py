@@ -1,0 +1,102 @@
+"""Which tracked frames become keyframes."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vo.base.config import KeyframeConfig, load_config
+from vo.engine.tracking.keyframe_policy import Change, KeyframePolicy, median_parallax
+
+CONFIG = load_config("fast")
+MOST = CONFIG.tracking.max_landmarks
+POLICY = KeyframePolicy(CONFIG.keyframes, MOST)
+
+
+def _becomes_keyframe(observed_by_last: int, tracked: int) -> bool:
+    """Of a camera that stands still."""
+    last = SimpleNamespace(
+        landmark=np.arange(observed_by_last),
+        world_from_cam=np.eye(4),
+        frame=SimpleNamespace(stamp_ns=1_000_000_000),
+    )
+    xyz = np.tile([0.0, 0.0, 5.0], (observed_by_last, 1))
+    local_map: Any = SimpleNamespace(keyframes=[last], xyz=xyz)
+    observed = SimpleNamespace(rows=np.arange(tracked))
+    found: Any = SimpleNamespace(
+        world_from_cam=np.eye(4), observed=observed, inlier=np.ones(tracked, dtype=bool)
+    )
+    frame: Any = SimpleNamespace(stamp_ns=1_050_000_000)
+    return POLICY.needs_keyframe(POLICY.change_since_last(local_map, frame, found))
+
+
+@pytest.mark.parametrize("observed_by_last", [MOST, 2 * MOST, 4 * MOST])
+def test_still_camera_makes_no_keyframe_however_rich_the_scene(observed_by_last: int) -> None:
+    assert not _becomes_keyframe(observed_by_last, round(0.97 * MOST))
+
+
+@pytest.mark.parametrize("observed_by_last", [round(0.8 * MOST), 2 * MOST])
+def test_camera_that_has_lost_half_of_its_landmarks_makes_a_keyframe(observed_by_last: int) -> None:
+    assert _becomes_keyframe(observed_by_last, round(0.4 * MOST))
+
+
+STRICT = KeyframeConfig(
+    min_tracked_ratio=0.75, min_tracked=200, min_parallax_deg=1.5, max_gap_s=1.0
+)
+
+
+def _needs_keyframe(change: Change, config: KeyframeConfig = STRICT) -> bool:
+    return KeyframePolicy(config, max_landmarks=1000).needs_keyframe(change)
+
+
+@pytest.mark.parametrize(
+    ("tracked", "parallax_deg", "elapsed_s", "needed"),
+    [
+        (900, 0.5, 0.5, False),
+        (740, 0.0, 0.0, True),
+        (760, 0.0, 0.0, False),
+        (900, 1.6, 0.1, True),
+        (900, 1.4, 0.1, False),
+        (900, 0.5, 1.0, True),
+        (900, 0.0, 60.0, False),
+    ],
+)
+def test_keyframes_come_with_lost_landmarks_parallax_or_time_in_motion(
+    tracked: int, parallax_deg: float, elapsed_s: float, needed: bool
+) -> None:
+    parallax = np.deg2rad(parallax_deg)
+    assert _needs_keyframe(Change(tracked, 1000, parallax, elapsed_s)) == needed
+
+
+@pytest.mark.parametrize(("parallax_deg", "needed"), [(0.0, False), (0.2, False), (0.5, True)])
+def test_few_landmarks_ask_for_a_keyframe_once_the_camera_has_moved(
+    parallax_deg: float, needed: bool
+) -> None:
+    assert _needs_keyframe(Change(150, 160, np.deg2rad(parallax_deg), 0.1)) == needed
+
+
+@pytest.mark.parametrize(("parallax_deg", "needed"), [(1.6, False), (2.4, False), (2.6, True)])
+def test_a_single_camera_waits_for_more_parallax(parallax_deg: float, needed: bool) -> None:
+    mono = KeyframeConfig(min_parallax_deg=1.5, min_parallax_mono_deg=2.5).in_mono()
+    assert _needs_keyframe(Change(900, 1000, np.deg2rad(parallax_deg), 0.1), mono) == needed
+
+
+def test_parallax_is_the_median_angle_at_the_points() -> None:
+    points = np.array([[0.5, 0.0, np.sqrt(0.75)], [0.5, 0.0, 0.5], [0.5, 0.0, 1e6]])
+    found = median_parallax(points, np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    assert np.rad2deg(found) == pytest.approx(60.0)
+
+
+def test_parallax_is_none_without_points_or_without_motion() -> None:
+    points = np.random.default_rng(0).uniform(1, 5, (20, 3))
+    centre = np.array([0.1, 0.2, 0.3])
+    assert median_parallax(points[:0], centre, centre + 1.0) == 0.0
+    assert median_parallax(points, centre, centre) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_point_at_the_camera_centre_does_no_harm() -> None:
+    points = np.zeros((1, 3))
+    assert np.isfinite(median_parallax(points, np.zeros(3), np.ones(3)))

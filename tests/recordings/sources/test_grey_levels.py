@@ -1,0 +1,141 @@
+"""16-bit images: those that use little of their range are stretched, all others only shifted."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import layouts
+import numpy as np
+import pytest
+
+from vo.base.errors import SourceError
+from vo.base.types import Bytes
+from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
+from vo.recordings.sources.images import Pixels
+from vo.recordings.sources.registry import open_source
+
+SCENE = np.random.default_rng(0).random((40, 60))
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A `StoredImage` in memory; None is unreadable."""
+
+    pixels: Pixels | None
+    name: str = "in memory"
+
+    def read(self, colour: bool = False) -> Pixels:
+        if self.pixels is None:
+            raise SourceError("damaged")
+        return self.pixels
+
+
+def scene(low: float, counts: float) -> Image:
+    return Image((low + counts * SCENE).astype(np.uint16))
+
+
+def bits(levels: GreyLevels, image: Image, frame: int = 0) -> Bytes:
+    assert image.pixels is not None
+    return levels.to_8_bits(image.pixels, frame)
+
+
+@pytest.mark.parametrize("counts", [300, 500, 2000])
+def test_images_of_a_thermal_camera_use_all_grey_levels(counts: float) -> None:
+    images = [scene(8400, counts)] * 50
+    levels = find_grey_levels(images)
+    grey = bits(levels, images[0])
+    assert levels.bit_depth == 14
+    assert np.ptp(np.percentile(grey, (1, 99))) > 190
+    assert (grey == 0).mean() + (grey == 255).mean() < 0.02
+
+
+@pytest.mark.parametrize(("low", "counts"), [(0, 16383), (2000, 6000), (0, 1023), (7000, 60000)])
+def test_images_that_use_their_range_keep_their_bits(low: float, counts: float) -> None:
+    images = [scene(low, min(counts, 65535 - low))] * 50
+    levels = find_grey_levels(images)
+    assert levels.stretch is None
+    assert images[0].pixels is not None
+    np.testing.assert_array_equal(
+        bits(levels, images[0]), images[0].pixels >> (levels.bit_depth - 8)
+    )
+
+
+def test_a_bright_scene_among_dark_ones_keeps_all_of_them() -> None:
+    images = [scene(0, 300)] * 40 + [scene(0, 4000)] * 10
+    assert find_grey_levels(images).stretch is None
+
+
+def test_hot_pixels_and_unreadable_or_flat_images_do_not_count() -> None:
+    clean = find_grey_levels([scene(7400, 500)] * 99)
+    images = [scene(7400, 500) for _ in range(99)]
+    for image in images[::3]:
+        assert image.pixels is not None
+        image.pixels[3, 4] = 16383  # of 2,400
+    images[96] = Image(None)
+    images[48] = Image(np.full((40, 60), 7600, np.uint16))  # a closed shutter
+    found = find_grey_levels(images)
+    assert clean.stretch is not None
+    assert found.stretch is not None
+    for frame in (0, 47, 48, 98):
+        difference = found.stretch.table(frame).astype(int) - clean.stretch.table(frame)
+        assert np.abs(difference).max() <= 2
+
+
+def test_the_stretch_changes_slowly() -> None:
+    """A camera that warms up by 3,000 counts: the same scene keeps its grey levels."""
+    images = [scene(7000 + 6 * i, 500) for i in range(500)]
+    levels = find_grey_levels(images)
+    grey = np.array([bits(levels, image, i).mean() for i, image in enumerate(images)])
+    assert np.ptp(grey) < 12
+    assert np.abs(np.diff(grey)).max() < 1.5
+
+
+def test_noise_of_a_covered_sensor_is_not_amplified() -> None:
+    noise = np.random.default_rng(1).normal(7400, 3, (40, 60)).astype(np.uint16)
+    image = Image(noise)
+    assert bits(find_grey_levels([image] * 9), image).std() < 5
+
+
+def write_pairs(folder: Path, right_offset: int = 0) -> Path:
+    for i in range(layouts.COUNT):
+        for side, offset in (("left", 0), ("right", right_offset)):
+            (folder / side).mkdir(parents=True, exist_ok=True)
+            pixels = (7400 + 40 * i + offset + 500 * SCENE).astype(np.uint16)
+            cv2.imwrite(str(folder / side / f"{i:03d}.png"), np.ascontiguousarray(pixels))
+    text = layouts.CALIBRATION.replace(f"[{layouts.WIDTH}, {layouts.HEIGHT}]", "[60, 40]")
+    layouts.write_text(folder / "calibration.yaml", text)
+    layouts.write_text(
+        folder / "times.txt", "".join(f"{0.1 * i:.1f}\n" for i in range(layouts.COUNT))
+    )
+    return folder
+
+
+def test_left_and_right_and_any_start_have_the_same_stretch(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.WARNING)
+    source = open_source(write_pairs(tmp_path / "pairs"))
+    assert caplog.text.count("contrast is stretched to 8 bits") == 1
+    whole = {frame.index: frame for frame in source.frames()}
+    for frame in whole.values():
+        assert frame.image1 is not None
+        assert np.array_equal(frame.image0, frame.image1)
+        assert np.ptp(frame.image0) > 150
+    last = list(source.frames(2, None, 2))
+    assert [frame.index for frame in last] == list(range(2, layouts.COUNT, 2))
+    for frame in last:
+        assert np.array_equal(frame.image0, whole[frame.index].image0)
+    recorded = next(iter(source.frames(images="recorded"))).image0
+    assert recorded.dtype == np.uint16
+
+
+def test_the_range_is_that_of_both_cameras(tmp_path: Path) -> None:
+    frames = list(open_source(write_pairs(tmp_path / "pairs", right_offset=300)).frames())
+    for frame in frames:
+        assert frame.image1 is not None
+        for image in frame.images:
+            assert image is not None
+            assert (image == 255).mean() + (image == 0).mean() < 0.02

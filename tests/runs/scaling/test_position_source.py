@@ -1,0 +1,173 @@
+"""Positions of another sensor against a path: times, clocks, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from vo.base.errors import SourceError
+from vo.base.geometry.transforms import so3_exp
+from vo.base.records.placed_frames import PlacedFrames
+from vo.base.types import Floats, Trajectory
+from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
+from vo.runs.scaling.georeference import write_georeference
+from vo.runs.scaling.position_source import PositionSource
+from vo.runs.scaling.positions import Positions
+
+START_NS = 1_700_000_000_000_000_000
+UNIT_M = 4.0  # length of a unit of the map
+ROTATION = so3_exp(np.array([-1.2, 0.7, 0.2]))
+ORIGIN = np.array([48.1, 11.5, 520.0])
+
+
+def true_m(seconds: Floats) -> Floats:
+    """A drive with changing speed and a turn."""
+    along = 8.0 * seconds + 6.0 * np.sin(0.4 * seconds)
+    heading = 0.03 * along
+    return np.column_stack([along * np.cos(0.3 * heading), 0.0 * along, 20.0 * np.sin(heading)])
+
+
+def drive(seconds: float = 20.0, worlds: int = 1) -> PlacedFrames:
+    """A path at 10 Hz in units of its map; each world begins anew."""
+    times = np.arange(0.0, seconds, 0.1)
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, 3] = true_m(times) / UNIT_M
+    world = (np.arange(len(times)) * worlds) // len(times)
+    stamps_ns = START_NS + (times * 1e9).astype(np.int64)
+    nothing = np.zeros(len(times), bool)
+    frames = np.arange(len(times))
+    return PlacedFrames(frames, world, world, nothing, nothing, Trajectory(stamps_ns, poses))
+
+
+def gps(
+    seconds: Floats, noise_m: float = 0.0, late_s: float = 0.0, *, start_ns: int = START_NS
+) -> Positions:
+    noise = np.random.default_rng(0).normal(0.0, 1.0, (len(seconds), 3))
+    xyz = true_m(seconds) @ ROTATION.T + (5.0, 6.0, 7.0) + noise_m * noise
+    stamps_ns = start_ns + ((seconds + late_s) * 1e9).astype(np.int64)
+    return Positions("gps.nmea", "gps", stamps_ns, xyz, np.full(len(xyz), np.nan), ORIGIN)
+
+
+SECONDS = np.arange(-1.0, 22.0, 0.25) + 0.017  # between the frames
+
+
+def test_the_scale_of_each_world() -> None:
+    findings = PositionSource(gps(SECONDS)).measure(drive(worlds=2))
+    assert [scale.segment for scale in findings.scales] == [0, 1]
+    for scale in findings.scales:
+        assert scale.value == pytest.approx(UNIT_M, rel=2e-3)
+        assert scale.source == "gps" and 0.0 < scale.sigma < 0.02 * UNIT_M
+    assert findings.notes == ()
+
+
+@pytest.mark.parametrize("late_s", [0.0, 0.7, -1.2])
+def test_an_offset_of_the_clocks_is_corrected_and_reported(late_s: float) -> None:
+    findings = PositionSource(gps(SECONDS, 0.5, late_s)).measure(drive())
+    (scale,) = findings.scales
+    assert abs(scale.value / UNIT_M - 1.0) < 0.01
+    if not late_s:
+        assert findings.notes == ()
+        return
+    (note,) = findings.notes
+    word = "late" if late_s > 0 else "early"
+    assert note.startswith("gps, segment 0: the positions are") and f"s {word}" in note
+    assert float(note.split("are ")[1].split()[0]) == pytest.approx(abs(late_s), abs=0.06)
+
+
+def test_another_clock_is_refused_before_the_run() -> None:
+    source = PositionSource(gps(SECONDS, start_ns=500_000_000_000))
+    stamps_ns = drive().trajectory.stamps_ns
+    with pytest.raises(SourceError, match=r"from 499\.017 s to .*2023-11-14 .*--scale-offset"):
+        source.check_times(stamps_ns)
+    PositionSource(gps(SECONDS)).check_times(stamps_ns)
+
+
+def test_times_of_day_get_the_day_of_the_recording() -> None:
+    given = gps(SECONDS)
+    day_ns = 86_400 * 10**9
+    of_day = Positions(
+        "a", "gps", given.stamps_ns % day_ns, given.xyz, given.sigma_m, ORIGIN, is_time_of_day=True
+    )
+    source = PositionSource(of_day)
+    source.check_times(drive().trajectory.stamps_ns)
+    (scale,) = source.measure(drive()).scales
+    assert scale.value == pytest.approx(UNIT_M, rel=2e-3)
+
+
+def test_a_short_path_has_no_scale() -> None:
+    findings = PositionSource(gps(SECONDS, 5.0)).measure(drive(2.0))
+    assert findings.scales == ()
+    (note,) = findings.notes
+    assert "the scale cannot be observed" in note and "position errors of" in note
+    findings = PositionSource(gps(SECONDS[:5])).measure(drive())
+    assert findings.scales == () and "positions at times of the path" in findings.notes[0]
+
+
+def test_lengths_of_a_path_in_metres_are_compared() -> None:
+    path = drive()
+    poses = path.trajectory.world_from_cam.copy()
+    poses[:, :3, 3] *= UNIT_M * 1.05
+    metric = PlacedFrames(
+        path.frame_index,
+        path.segment,
+        path.world,
+        path.is_keyframe,
+        path.interpolated,
+        Trajectory(path.trajectory.stamps_ns, poses),
+    )
+    findings = PositionSource(gps(SECONDS), is_metric=True).measure(metric)
+    assert findings.scales == ()
+    assert any("lengths differ by +5.0%" in note for note in findings.notes)
+
+
+def test_the_path_on_the_globe(tmp_path: Path) -> None:
+    source, path = PositionSource(gps(SECONDS)), drive()
+    source.measure(path)
+    path.trajectory.world_from_cam[:, :3, 3] *= UNIT_M
+    assert write_georeference(tmp_path, path, source) == []
+    geojson = json.loads((tmp_path / "path.geojson").read_text())
+    (feature,) = geojson["features"]
+    points = np.array(feature["geometry"]["coordinates"])
+    assert points.shape == (len(path.trajectory), 3)
+    assert feature["properties"]["stamps_ns"][0] == START_NS
+    seconds = 1e-9 * (path.trajectory.stamps_ns - START_NS)
+    expected = true_m(seconds) @ ROTATION.T + (5.0, 6.0, 7.0)
+    enu = enu_from_geodetic(points[:, [1, 0, 2]], ORIGIN)
+    np.testing.assert_allclose(enu, expected, atol=0.15)
+    np.testing.assert_allclose(points[:, [1, 0, 2]], geodetic_from_enu(enu, ORIGIN), atol=1e-3)
+    root = ElementTree.parse(tmp_path / "path.kml").getroot()
+    (coordinates,) = root.iter("{http://www.opengis.net/kml/2.2}coordinates")
+    assert coordinates.text is not None
+    assert [float(v) for v in coordinates.text.split()[0].split(",")] == points[0].tolist()
+
+
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_an_antenna_beside_the_camera_does_not_bend_the_path(is_metric: bool) -> None:
+    """A car that turns in a small circle, with the antenna 1.5 m behind and 1 m above it."""
+    angle = np.linspace(0.0, 3.0, 60)
+    stamps_ns = (1e8 * np.arange(60)).astype(np.int64)
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    poses[:, 0, 3], poses[:, 2, 3] = 4.0 * (1.0 - np.cos(angle)), 4.0 * np.sin(angle)
+    for pose, turn in zip(poses, angle, strict=True):
+        pose[:3, :3] = so3_exp(np.array([0.0, turn, 0.0]))
+    arm = np.array([-0.5, -1.0, -1.5])
+    xyz = poses[:, :3, 3] + poses[:, :3, :3] @ arm
+    positions = Positions("gps", "gps", stamps_ns, xyz, np.full(60, np.nan))
+    path = poses.copy()
+    path[:, :3, 3] /= 1.0 if is_metric else UNIT_M
+    zero, no = np.zeros(60, np.int64), np.zeros(60, bool)
+    frames = PlacedFrames(np.arange(60), zero, zero, no, no, Trajectory(stamps_ns, path))
+    source = PositionSource(positions, is_metric=is_metric, lever_arm_m=arm.tolist())
+    findings = source.measure(frames)
+    (placement,) = source.placements
+    np.testing.assert_allclose(placement.place(poses[:, :3, 3]), poses[:, :3, 3], atol=1e-3)
+    if is_metric:
+        assert findings.notes == ()
+        return
+    assert findings.scales[0].value == pytest.approx(UNIT_M, rel=1e-4)
+    without = PositionSource(positions).measure(frames)
+    assert without.scales[0].value > 1.02 * UNIT_M  # the antenna drives a larger circle

@@ -1,0 +1,1 @@
+"""What every wing uses: records, settings, files, images, cameras, compiled code."""

@@ -1,0 +1,37 @@
+"""Optional packages: imported where they are used, and named with their extra where one is missing.
+
+The core of `visual-odometry` installs what tracking, MCAP files and the command line need. Other
+packages belong to extras of pyproject.toml; modules that use them import them inside functions,
+and call `require` before.
+"""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from vo.base.errors import MissingExtraError
+
+DISTRIBUTION = "visual-odometry"
+
+
+def require(package: str, extra: str | None, what: str) -> ModuleType:
+    """Import a package that an extra installs.
+
+    Args:
+        package: name of the package in `import`, such as `av`.
+        extra: the extra of this distribution that installs it, such as `video`; None for a
+            package of the core that can be left out, such as `rerun`.
+        what: what needs it, in the plural, such as `videos`.
+
+    Raises:
+        MissingExtraError: it is not installed, or cannot be imported.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        target = DISTRIBUTION if extra is None else f"'{DISTRIBUTION}[{extra}]'"
+        needed = f"the package {package}" if extra is None else f"the extra '{extra}'"
+        if not isinstance(error, ModuleNotFoundError) or error.name != package:
+            needed = f"{package}, which cannot be imported ({error})"
+        raise MissingExtraError(f"{what} need {needed}: pip install {target}") from error

@@ -1,0 +1,1 @@
+"""Files of bounded size, and files that appear when they are complete."""

@@ -1,0 +1,154 @@
+"""Lens models on normalised image points (x/z, y/z), and their inverses.
+
+A distortion polynomial is valid as far as it increases (its reach): beyond, rays at larger angles
+would fall nearer to the centre. Rays beyond, and points without a ray, are NaN.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from vo.base.geometry import radtan_kernels, spheres
+from vo.base.types import Camera, Floats
+
+_MAX_ITERATIONS = 25
+_CONVERGED = 1e-14
+_BISECTIONS = 60
+_ACCEPTED = 1e-9
+"""Largest residual of an inverse in normalised units: a millionth of a pixel or less."""
+
+_MAX_RADIUS = 20.0
+"""tan of 87 degrees; a polynomial that increases up to here is taken to increase on."""
+
+
+def distort_rays(camera: Camera, rays: Floats) -> Floats:
+    """Distorted points (N, 2) of normalised points (N, 2); NaN beyond the reach of the lens."""
+    match camera.distortion_model:
+        case "equidistant":
+            return _equidistant(camera, rays)
+        case "double_sphere":
+            return spheres.double_sphere(rays, *camera.distortion)
+        case "extended_unified":
+            return spheres.extended_unified(rays, *camera.distortion)
+        case "omni":
+            xi, *coefficients = camera.distortion
+            return _radtan(tuple(coefficients), spheres.unified(rays, xi))
+        case _:
+            return _radtan(camera.distortion, rays)
+
+
+def undistort_rays(camera: Camera, moved: Floats) -> Floats:
+    """Inverse of `distort_rays` on (N, 2); NaN where there is none."""
+    match camera.distortion_model:
+        case "equidistant":
+            return _equidistant_inverse(camera, moved)
+        case "double_sphere":
+            return spheres.double_sphere_inverse(moved, *camera.distortion)
+        case "extended_unified":
+            return spheres.extended_unified_inverse(moved, *camera.distortion)
+        case "omni":
+            xi, *coefficients = camera.distortion
+            return spheres.unified_inverse(_radtan_inverse(tuple(coefficients), moved), xi)
+        case _:
+            return _radtan_inverse(camera.distortion, moved)
+
+
+def centre_scale(camera: Camera) -> float:
+    """Magnification on the optical axis relative to a pinhole camera."""
+    if camera.distortion_model in ("double_sphere", "omni"):
+        return 1.0 / (1.0 + camera.distortion[0])
+    return 1.0
+
+
+@lru_cache(maxsize=16)
+def angle_reach(coefficients: tuple[float, ...]) -> float:
+    """Maximum valid angle from the axis of an `equidistant` lens, at most pi/2."""
+    angles = np.linspace(0.0, np.pi / 2, 4001)
+    _, slope = _angle_polynomial(coefficients, angles)
+    folds = np.flatnonzero(slope <= 0)
+    return float(angles[folds[0] - 1] if len(folds) else np.pi / 2)
+
+
+@lru_cache(maxsize=16)
+def radial_reach(coefficients: tuple[float, ...]) -> float:
+    """Maximum valid radius of normalised points of a `radtan` lens; infinite if unlimited."""
+    radii = np.linspace(0.0, _MAX_RADIUS, 20001)
+    radial, slope = radtan_kernels.radial(_eight(coefficients), radii**2)
+    # A rational model past its pole changes sign or jumps down.
+    folds = np.flatnonzero(~(radial + 2.0 * radii**2 * slope > 0) | ~(radial > 0))
+    return float(radii[folds[0] - 1]) if len(folds) else np.inf
+
+
+def _radtan(coefficients: tuple[float, ...], rays: Floats) -> Floats:
+    """Source: Brown, "Decentering Distortion of Lenses", 1966; the rational form is OpenCV's."""
+    reach = radial_reach(coefficients)
+    moved = radtan_kernels.distort(_eight(coefficients), np.ascontiguousarray(rays), reach)
+    return np.asarray(moved)
+
+
+def _radtan_inverse(coefficients: tuple[float, ...], moved: Floats) -> Floats:
+    reach, k = radial_reach(coefficients), _eight(coefficients)
+    moved = np.ascontiguousarray(moved)
+    limits = _MAX_ITERATIONS, _CONVERGED, _ACCEPTED
+    return np.asarray(radtan_kernels.undistort(k, moved, reach, *limits))
+
+
+def _eight(coefficients: tuple[float, ...]) -> Floats:
+    """k1, k2, p1, p2, k3, k4, k5, k6, with zeros for missing ones."""
+    return np.array((*coefficients, *[0.0] * 8)[:8])
+
+
+def _angle_polynomial(coefficients: tuple[float, ...], angle: Floats) -> tuple[Floats, Floats]:
+    """Distorted radius of angles from the axis, and its derivative.
+
+    Source: Kannala and Brandt, "A Generic Camera Model", 2006, eq. 6.
+    """
+    k1, k2, k3, k4 = coefficients
+    a2 = angle * angle
+    radius = angle * (1.0 + a2 * (k1 + a2 * (k2 + a2 * (k3 + a2 * k4))))
+    slope = 1.0 + a2 * (3.0 * k1 + a2 * (5.0 * k2 + a2 * (7.0 * k3 + a2 * 9.0 * k4)))
+    return radius, slope
+
+
+def _equidistant(camera: Camera, rays: Floats) -> Floats:
+    radius = np.hypot(rays[:, 0], rays[:, 1])
+    angle = np.arctan(radius)
+    moved, _ = _angle_polynomial(camera.distortion, angle)
+    ratio = np.where(radius > 1e-9, moved / np.maximum(radius, 1e-300), 1.0)
+    ratio[angle > angle_reach(camera.distortion)] = np.nan
+    return np.asarray(rays * ratio[:, None])
+
+
+def _equidistant_inverse(camera: Camera, moved: Floats) -> Floats:
+    limit = angle_reach(camera.distortion)
+    radius = np.hypot(moved[:, 0], moved[:, 1])
+    angle = np.minimum(radius, limit)
+    for _ in range(_MAX_ITERATIONS):
+        found, slope = _angle_polynomial(camera.distortion, angle)
+        step = (radius - found) / np.maximum(slope, 1e-12)
+        angle = np.clip(angle + step, 0.0, limit)
+        if not np.any(np.abs(step) > _CONVERGED):
+            break
+    found, _ = _angle_polynomial(camera.distortion, angle)
+    # Where the slope of the polynomial changes much, Newton's steps may alternate.
+    max_radius, _ = _angle_polynomial(camera.distortion, np.array(limit))
+    failed = ~(np.abs(found - radius) <= _ACCEPTED)
+    missed = failed & (radius <= max_radius)
+    if missed.any():
+        angle[missed] = _angle_by_bisection(camera.distortion, radius[missed])
+        failed &= ~missed
+    ratio = np.where(radius > 1e-9, np.tan(angle) / np.maximum(radius, 1e-300), 1.0)
+    ratio[failed | (angle >= np.pi / 2)] = np.nan
+    return np.asarray(moved * ratio[:, None])
+
+
+def _angle_by_bisection(coefficients: tuple[float, ...], radius: Floats) -> Floats:
+    """Angles of distorted radii (N,), which increase up to `angle_reach`."""
+    low, high = np.zeros(len(radius)), np.full(len(radius), angle_reach(coefficients))
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        is_low = _angle_polynomial(coefficients, middle)[0] < radius
+        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+    return low

@@ -1,0 +1,191 @@
+"""Rigid motion SE(3) as (4, 4) arrays, its tangent (rx ry rz tx ty tz) and quaternions xyzw."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vo.base.types import Floats
+
+# Maximum error of a rotation that a single Newton step corrects; its square remains.
+_MAX_ROUNDING = 1e-8
+
+
+def make_transform(rotation: Floats, translation: Floats) -> Floats:
+    """A (4, 4) transform from a (3, 3) rotation and a translation of three numbers."""
+    transform = np.zeros((4, 4))
+    transform[:3, :3] = rotation
+    transform[:3, 3] = np.asarray(translation).reshape(3)
+    transform[3, 3] = 1.0
+    return transform
+
+
+def whole_transforms(rows: Floats) -> Floats:
+    """Append the row 0 0 0 1 to transforms (N, 3, 4)."""
+    result = np.zeros((len(rows), 4, 4))
+    result[:, :3] = rows
+    result[:, 3, 3] = 1.0
+    return result
+
+
+def inverse(a_from_b: Floats) -> Floats:
+    """b_from_a of one (4, 4) or many (..., 4, 4) transforms."""
+    if a_from_b.ndim == 2:  # two thirds of the time of the general case
+        rotation = a_from_b[:3, :3].T
+        return make_transform(rotation, -(rotation @ a_from_b[:3, 3]))
+    result = np.zeros_like(a_from_b)
+    rotation = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -(rotation @ a_from_b[..., :3, 3, None])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def transform_points(a_from_b: Floats, points: Floats) -> Floats:
+    """Transform (N, 3) points from frame b to frame a."""
+    return np.asarray(points @ a_from_b[:3, :3].T + a_from_b[:3, 3])
+
+
+def skew(vector: Floats) -> Floats:
+    """(..., 3, 3) matrices of the cross products with vectors (..., 3)."""
+    result = np.zeros((*vector.shape, 3))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -z, y, -x
+    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = z, -y, x
+    return result
+
+
+def so3_exp(rotvec: Floats) -> Floats:
+    """Rotation matrix of a rotation vector in radians (Rodrigues)."""
+    angle = float(np.linalg.norm(rotvec))
+    k = skew(rotvec)
+    if angle < 1e-8:
+        return np.asarray(np.eye(3) + k + 0.5 * k @ k)
+    half_sine = np.sin(0.5 * angle) / angle
+    return np.asarray(np.eye(3) + (np.sin(angle) / angle) * k + 2.0 * half_sine**2 * k @ k)
+
+
+def so3_log(rotation: Floats) -> Floats:
+    """Rotation vector in radians of a (3, 3) rotation, with an angle in [0, pi]."""
+    quat = quat_xyzw_from_rotation(rotation)
+    if quat[3] < 0:
+        quat = -quat
+    sine = float(np.linalg.norm(quat[:3]))
+    if sine < 1e-12:
+        return np.asarray(2.0 * quat[:3])
+    return np.asarray(quat[:3] * (2.0 * np.arctan2(sine, quat[3]) / sine))
+
+
+def se3_exp(tangent: Floats) -> Floats:
+    """Transform of a tangent vector (rx ry rz tx ty tz).
+
+    Source: Barfoot, State Estimation for Robotics, 2017, eq. 7.33 and 7.37.
+    """
+    return make_transform(so3_exp(tangent[:3]), _left_jacobian(tangent[:3]) @ tangent[3:])
+
+
+def se3_log(transform: Floats) -> Floats:
+    """Tangent vector (rx ry rz tx ty tz) of a transform; the inverse of `se3_exp`."""
+    rotvec = so3_log(transform[:3, :3])
+    return np.concatenate([rotvec, np.linalg.solve(_left_jacobian(rotvec), transform[:3, 3])])
+
+
+def adjoint(a_from_b: Floats) -> Floats:
+    """(..., 6, 6) with exp(adjoint @ xi) = a_from_b @ exp(xi) @ b_from_a, rotation first."""
+    rotation = a_from_b[..., :3, :3]
+    result = np.zeros((*a_from_b.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotation
+    result[..., 3:, :3] = skew(a_from_b[..., :3, 3]) @ rotation
+    return result
+
+
+def interpolate(first: Floats, second: Floats, fraction: float) -> Floats:
+    """The pose at `fraction` (0 is first, 1 is second) on the SE(3) geodesic between two poses."""
+    return np.asarray(first @ se3_exp(fraction * se3_log(inverse(first) @ second)))
+
+
+def orthonormalised(transform: Floats) -> Floats:
+    """The same transform with the nearest orthonormal rotation.
+
+    Errors of rounding are corrected by one step of Newton's method, in a fifth of the time of the
+    SVD that is used otherwise.
+
+    Source: Higham, "Computing the polar decomposition", 1986, eq. 3.1.
+    """
+    matrix = transform[:3, :3]
+    # Mean of the matrix and its inverse transposed, whose rows are cross products.
+    rows: list[list[float]] = matrix.tolist()
+    inverse_rows = [_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])]
+    determinant = sum(a * b for a, b in zip(rows[0], inverse_rows[0], strict=True))
+    if abs(determinant - 1.0) < _MAX_ROUNDING:
+        rotation = np.array(
+            [
+                [0.5 * (a + b / determinant) for a, b in zip(row, other, strict=True)]
+                for row, other in zip(rows, inverse_rows, strict=True)
+            ]
+        )
+        if np.abs(rotation - matrix).max() < _MAX_ROUNDING:
+            return make_transform(rotation, transform[:3, 3])
+    u, _, vt = np.linalg.svd(matrix)
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return make_transform(rotation, transform[:3, 3])
+
+
+def _cross(a: list[float], b: list[float]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def rotation_angle(rotation: Floats) -> float:
+    """Angle of a (3, 3) rotation in radians."""
+    return float(np.linalg.norm(so3_log(rotation)))
+
+
+def rotation_from_quat_xyzw(quat_xyzw: Floats) -> Floats:
+    """(..., 3, 3) rotations of (..., 4) quaternions; they need not be of unit length."""
+    x, y, z, w = np.moveaxis(quat_xyzw / np.linalg.norm(quat_xyzw, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quat_xyzw_from_rotation(rotation: Floats) -> Floats:
+    """Unit quaternion of one (3, 3) rotation (Shepperd 1978: the largest component first)."""
+    return np.array(quat_xyzw_of_rows(rotation.tolist()))
+
+
+def quat_xyzw_of_rows(m: list[list[float]]) -> list[float]:
+    """The same of nested lists, much faster than arrays."""
+    trace = m[0][0] + m[1][1] + m[2][2]
+    candidates = (m[0][0], m[1][1], m[2][2], trace)
+    i = candidates.index(max(candidates))
+    quat = [0.0, 0.0, 0.0, 0.0]
+    if i == 3:
+        quat[3] = 1.0 + trace
+        quat[0] = m[2][1] - m[1][2]
+        quat[1] = m[0][2] - m[2][0]
+        quat[2] = m[1][0] - m[0][1]
+    else:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        quat[i] = 1.0 - trace + 2.0 * m[i][i]
+        quat[j] = m[j][i] + m[i][j]
+        quat[k] = m[k][i] + m[i][k]
+        quat[3] = m[k][j] - m[j][k]
+    length = math.sqrt(sum(q * q for q in quat))
+    return [q / length for q in quat]
+
+
+def _left_jacobian(rotvec: Floats) -> Floats:
+    """Left Jacobian (3, 3) of SO(3)."""
+    angle = float(np.linalg.norm(rotvec))
+    k = skew(rotvec)
+    if angle < 1e-6:
+        return np.asarray(np.eye(3) + 0.5 * k + k @ k / 6.0)
+    # 1 - cos by the half angle: the plain form loses all digits as the angle gets small.
+    half_sine = np.sin(0.5 * angle) / angle
+    return np.asarray(
+        np.eye(3) + 2.0 * half_sine**2 * k + ((angle - np.sin(angle)) / angle**3) * k @ k
+    )

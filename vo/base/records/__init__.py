@@ -1,0 +1,1 @@
+"""What wings tell each other about a run."""

@@ -1,0 +1,152 @@
+"""The metric scale of a mono path: what measures it, and what was measured.
+
+The path of one camera is in units of its map. A source of scale, such as GPS, a marker of known
+size or the height of the camera, gives the length in metres of one such unit, at the end of a run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+from vo.base.records.placed_frames import PlacedFrames
+from vo.base.types import Estimate, Snapshot
+
+_MAX_DISAGREEMENT = 3.0  # of two sources, in standard deviations
+_MAX_LENGTH_ERROR = 0.01  # of a path in metres, which is not reported
+
+
+class MetricScale(NamedTuple):
+    """Scale of one world of a mono run.
+
+    Attributes:
+        segment: number of the world: that of its first segment.
+        value: length in metres of one unit of the map.
+        sigma: standard deviation of `value`.
+        source: what it comes from, such as `gps`, `marker 7`, `imu` or `camera height`.
+    """
+
+    segment: int
+    value: float
+    sigma: float
+    source: str
+
+    @property
+    def relative_sigma(self) -> float:
+        """Standard deviation relative to the value: that of every length."""
+        return self.sigma / self.value
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {**self._asdict(), "value": _digits(self.value), "sigma": _digits(self.sigma)}
+
+
+class WorldFrame(NamedTuple):
+    """A frame of markers that a world of a run was given.
+
+    Attributes:
+        segment: number of the world: that of its first segment.
+        name: of the frame: `marker 7`, or the file of a map.
+        markers: ids by which the world was placed.
+        sigma_m: standard deviation of the position, where the markers are.
+        sigma_deg: standard deviation of the rotation.
+    """
+
+    segment: int
+    name: str
+    markers: tuple[int, ...]
+    sigma_m: float
+    sigma_deg: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        sigmas = {"sigma_m": float(f"{self.sigma_m:.4g}"), "sigma_deg": round(self.sigma_deg, 4)}
+        return {**self._asdict(), "markers": list(self.markers), **sigmas}
+
+
+@dataclass(frozen=True)
+class ScaleFindings:
+    """What sources of scale have measured.
+
+    Attributes:
+        scales: at most one of each world.
+        notes: sentences for the user: why there is no scale, and what was left out.
+        frames: at most one of each world that has another frame than that of its first camera.
+    """
+
+    scales: tuple[MetricScale, ...] = ()
+    notes: tuple[str, ...] = ()
+    frames: tuple[WorldFrame, ...] = ()
+
+    def by_segment(self) -> dict[int, MetricScale]:
+        """The scales by the number of their world."""
+        return {scale.segment: scale for scale in self.scales}
+
+
+class ScaleSource(Protocol):
+    """Measures the scale of a mono run, without changing how it is tracked."""
+
+    def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
+        """After each frame; `snapshot` takes time and can only be called before this returns."""
+
+    def measure(self, path: PlacedFrames) -> ScaleFindings:
+        """After the last frame: scales of the worlds of the final path, in units of the map."""
+
+
+def choose_scales(findings: Sequence[ScaleFindings]) -> ScaleFindings:
+    """The scale with the smallest relative sigma of each world, and all notes.
+
+    A source that contradicts it by more than three standard deviations is reported.
+    """
+    notes = [note for each in findings for note in each.notes]
+    by_segment: dict[int, list[MetricScale]] = {}
+    for each in findings:
+        for scale in each.scales:
+            by_segment.setdefault(scale.segment, []).append(scale)
+    chosen = []
+    for segment in sorted(by_segment):
+        best, *others = sorted(by_segment[segment], key=lambda scale: scale.relative_sigma)
+        chosen.append(best)
+        notes += [_contradiction(best, other) for other in others if _contradict(best, other)]
+    return ScaleFindings(tuple(chosen), tuple(notes))
+
+
+def without_metric(findings: ScaleFindings, metric: Collection[int]) -> ScaleFindings:
+    """Findings without the scales of worlds that are in metres already, as by a loaded map.
+
+    A difference of more than 1 % and three standard deviations is reported.
+    """
+    kept = tuple(scale for scale in findings.scales if scale.segment not in metric)
+    notes = list(findings.notes)
+    for scale in findings.scales:
+        limit = max(_MAX_LENGTH_ERROR, _MAX_DISAGREEMENT * scale.relative_sigma)
+        if scale.segment in metric and abs(math.log(scale.value)) > limit:
+            notes.append(
+                f"in segment {scale.segment} all lengths would be {scale.value - 1.0:+.1%} longer "
+                f"by {scale.source} than by the loaded map, whose metres are kept"
+            )
+    return replace(findings, scales=kept, notes=tuple(notes))
+
+
+def has_all_scales(segments: Sequence[int], scales: Collection[int]) -> bool:
+    """Whether every world of a path, of which there is at least one, has a scale."""
+    return bool(segments) and all(segment in scales for segment in segments)
+
+
+def _contradict(first: MetricScale, second: MetricScale) -> bool:
+    difference = abs(math.log(first.value / second.value))
+    sigma = math.hypot(first.relative_sigma, second.relative_sigma)
+    return difference > _MAX_DISAGREEMENT * sigma
+
+
+def _contradiction(best: MetricScale, other: MetricScale) -> str:
+    return (
+        f"the scale by {other.source} differs by {other.value / best.value - 1.0:+.1%} from that "
+        f"by {best.source}, which is used: more than their uncertainty allows"
+    )
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.9g}")

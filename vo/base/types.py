@@ -1,0 +1,397 @@
+"""The records that rooms hand to each other.
+
+Conventions, everywhere: a transform `a_from_b` takes coordinates in frame b to frame a and is a
+(4, 4) float64 array; frames are `world`, `cam0`, `cam1` (x right, y down, z forward); pixels are
+(u, v) with the centre of the top-left pixel at (0, 0); lengths in metres (mono: in units of the
+map), angles in radians, time in integer nanoseconds; points are rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.failures import Failure
+from vo.base.faults import Fault
+
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Ints = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
+Bools = NDArray[np.bool_]
+Descriptors = NDArray[np.generic]  # (N, width), of the type that the feature extractor gives
+
+DistortionModel = Literal[
+    "none", "radtan", "equidistant", "double_sphere", "extended_unified", "omni"
+]
+Mode = Literal["auto", "mono", "stereo"]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera: how directions fall onto a plane, and where the pixels lie on it.
+
+    Attributes:
+        width: image width in pixels.
+        height: image height in pixels.
+        fx: focal length in pixels, along u; pixels per unit of the plane.
+        fy: focal length in pixels, along v.
+        cx: principal point, u.
+        cy: principal point, v.
+        distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant`
+            (Kannala-Brandt, k1..k4, OpenCV's fisheye), `double_sphere` (xi alpha),
+            `extended_unified` (alpha beta), `omni` (Mei's xi, then those of radtan) or `none`.
+        distortion: its coefficients.
+        readout_s: time from the first to the last row of an image; 0 for a global shutter.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    distortion_model: DistortionModel = "none"
+    distortion: tuple[float, ...] = ()
+    readout_s: float = 0.0
+
+    @property
+    def matrix(self) -> Floats:
+        """The (3, 3) matrix K of the ideal pinhole camera."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether pixels differ from those of the ideal pinhole camera."""
+        return self.distortion_model not in ("none", "radtan") or any(self.distortion)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """One camera, with depth or without, or two with the transform between them."""
+
+    cam0: Camera
+    cam1: Camera | None = None
+    cam1_from_cam0: Floats | None = None
+    has_depth: bool = False
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """The cameras by index."""
+        return (self.cam0,) if self.cam1 is None else (self.cam0, self.cam1)
+
+    @property
+    def is_stereo(self) -> bool:
+        """Whether there are two cameras."""
+        return len(self.cameras) > 1
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether lengths come out in metres."""
+        return self.is_stereo or self.has_depth
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Images of all cameras at one time.
+
+    Attributes:
+        index: number of the frame in its source, from 0, counting skipped frames too.
+        stamp_ns: time of the image of camera 0 in nanoseconds.
+        images: (H, W) uint8 grey by camera, as recorded (distorted, unrectified), None where one is
+            missing; in colour or with 16 bits only if `FrameStream.frames` was asked for that.
+        depth: (H, W) float32 metres along the axis of camera 0, 0 where unknown; None without.
+        path: the file with the image of camera 0 as recorded, perhaps in colour; None without one.
+        mask: (H, W) uint8, 0 where the image of camera 0 is not used, 255 elsewhere; or None.
+    """
+
+    index: int
+    stamp_ns: int
+    images: tuple[Bytes | None, ...]
+    depth: Floats32 | None = None
+    path: Path | None = None
+    mask: Bytes | None = None
+
+    @property
+    def image0(self) -> Bytes:
+        """The image of camera 0, which is never missing."""
+        image = self.images[0]
+        assert image is not None
+        return image
+
+    @property
+    def image1(self) -> Bytes | None:
+        """The image of camera 1, None where it is missing and with a single camera."""
+        return self.images[1] if len(self.images) > 1 else None
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A frame that a source could not hand out, and why."""
+
+    index: int
+    stamp_ns: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses in time.
+
+    Attributes:
+        stamps_ns: (N,) int64, increasing.
+        world_from_cam: (N, 4, 4) float64.
+    """
+
+    stamps_ns: Ints
+    world_from_cam: Floats
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def positions(self) -> Floats:
+        """(N, 3) camera centres in the world."""
+        return np.asarray(self.world_from_cam[:, :3, 3], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Continuous-time noise of an inertial sensor, as Kalibr and EuRoC give it.
+
+    Attributes:
+        gyro_noise: rad/s/√Hz.
+        gyro_walk: rad/s²/√Hz.
+        accel_noise: m/s²/√Hz.
+        accel_walk: m/s³/√Hz.
+    """
+
+    gyro_noise: float
+    gyro_walk: float
+    accel_noise: float
+    accel_walk: float
+
+
+@dataclass(frozen=True, eq=False)
+class Keypoints:
+    """Image features as a struct of arrays; row i of each belongs together.
+
+    Attributes:
+        xy: (N, 2) float32 pixels at full resolution.
+        octave: (N,) int32 pyramid level.
+        angle: (N,) float32 orientation in radians, NaN where the extractor gives none.
+        response: (N,) float32 corner strength, comparable within one image.
+        descriptor: (N, width) of the extractor's layout; of ORB 32 uint8, 256 bits.
+    """
+
+    xy: Floats32
+    octave: NDArray[np.int32]
+    angle: Floats32
+    response: Floats32
+    descriptor: Descriptors
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def select(self, rows: Bools | Ints) -> Keypoints:
+        """Some rows of the keypoints."""
+        chosen = self.xy[rows], self.octave[rows], self.angle[rows], self.response[rows]
+        return Keypoints(*chosen, self.descriptor[rows])
+
+
+class State(StrEnum):
+    """What the odometry is doing."""
+
+    STARTING = "starting"
+    TRACKING = "tracking"
+    LOST = "lost"
+
+
+class FeatureState:
+    """Codes of `View.feature_state`."""
+
+    NEW, TRACKED, REJECTED = 0, 1, 2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A tracked frame for display.
+
+    Attributes:
+        image0: the tracked image: rectified in stereo, as recorded in mono.
+        image1: its rectified partner, or None.
+        xy: (N, 2) float32 pixels of the features in image0.
+        feature_state: (N,) uint8, codes of `FeatureState`.
+        previous_xy: (N, 2) float32 where the feature's landmark was in the previous frame, or NaN.
+        camera_matrix: (3, 3) of image0 as an ideal pinhole camera.
+        right_u: (N,) float32 where the feature is in image1, in the same row, or NaN.
+        error_px: (N,) float32 reprojection error of the feature's landmark, NaN without one.
+        lens: the distorted camera of image0, None for an ideal pinhole camera.
+        baseline_m: distance from image0's camera to image1's, 0 in mono.
+        cam0_from_image0: (4, 4) from the camera of image0 to the recorded cam0.
+        path: the file with the image of cam0 as recorded, or None.
+        masks: (H, W) uint8 of image0 and image1, 0 where they were not used, or None.
+    """
+
+    image0: Bytes
+    image1: Bytes | None
+    xy: Floats32
+    feature_state: Bytes
+    previous_xy: Floats32
+    camera_matrix: Floats
+    right_u: Floats32 | None = None
+    error_px: Floats32 | None = None
+    lens: Camera | None = None
+    baseline_m: float = 0.0
+    cam0_from_image0: Floats | None = None
+    path: Path | None = None
+    masks: tuple[Bytes | None, Bytes | None] = (None, None)
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframePose:
+    """The optimised pose of a keyframe.
+
+    Attributes:
+        frame_index: number of its frame in the source.
+        stamp_ns: its time.
+        segment: number of its segment, from 0.
+        world_from_cam0: (4, 4).
+        covariance: (6, 6) of the tangent (rx ry rz tx ty tz), rad and m, in the cam0 frame:
+            true = world_from_cam0 @ exp(xi); None before the first optimisation.
+        scale: length in the world of one unit of the map that it was tracked in.
+    """
+
+    frame_index: int
+    stamp_ns: int
+    segment: int
+    world_from_cam0: Floats
+    covariance: Floats | None
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Observations of a keyframe of the map.
+
+    Attributes:
+        frame_index: number of its frame in the source.
+        ids: (n,) of the landmarks.
+        xy: (n, 2) pixels in the keyframe's `View.image0`.
+    """
+
+    frame_index: int
+    ids: Ints
+    xy: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points of the map; row i of each belongs together.
+
+    Attributes:
+        ids: (M,).
+        xyz: (M, 3) in the world.
+        grey: (M,) grey level at the centre of the reference patch.
+        sigma: (M,) standard deviation of the position, all axes together, given exact poses.
+        sightings: of all keyframes in the map, in time order.
+    """
+
+    ids: Ints
+    xyz: Floats
+    grey: Bytes | None = None
+    sigma: Floats | None = None
+    sightings: tuple[Sightings, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The newest frame and the local map, for display.
+
+    Attributes:
+        view: the frame.
+        landmarks: the map, None where no keyframe was added or moved.
+        neighbours: numbers of landmarks shared with a new keyframe, by frame index of the others.
+    """
+
+    view: View
+    landmarks: Landmarks | None
+    neighbours: Mapping[int, int] = field(default_factory=dict)
+
+
+class PredictedPose(NamedTuple):
+    """Pose of a lost frame by the inertial sensor: a prediction, which no image confirms.
+
+    Attributes:
+        world_from_cam0: (4, 4) in the world of the tracked frame before it.
+        covariance: (6, 6) as that of `KeyframePose`: of the newest keyframe that has one, and of
+            the motion since the last tracked frame, which grows; None if the former is unknown.
+    """
+
+    world_from_cam0: Floats
+    covariance: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Result of one frame.
+
+    Attributes:
+        frame_index: number of the frame in its source.
+        stamp_ns: its time.
+        state: state of the odometry.
+        failure: why it was not tracked, None where it was.
+        segment: number of the segment, from 0; a new one begins after each loss.
+        world_from_cam0: (4, 4) pose as known now (causal), None where it was not tracked.
+        is_keyframe: whether the frame became a keyframe.
+        features: landmarks found in the frame, and other features that were extracted.
+        matches: landmarks found in the frame.
+        inliers: those that agree with the pose.
+        keyframes: keyframes that were added or moved in this step.
+        landmark_ids: (M,) of the local map, where keyframes were added or moved, else None.
+        stage_ms: wall time by stage in milliseconds.
+        disparity_offset_px: bias of disparities that is corrected now.
+        median_disparity_px: median over the inliers, None without disparities.
+        faults: faults of the recording that were found in the frame.
+        tracked_anew_from: number of the first frame that was tracked anew by this one, or None.
+        dropped: images of a live source that were left out so far.
+        predicted: of a lost frame, by an inertial sensor whose states are known, else None.
+    """
+
+    frame_index: int
+    stamp_ns: int
+    state: State
+    failure: Failure | None
+    segment: int
+    world_from_cam0: Floats | None
+    is_keyframe: bool
+    features: int
+    matches: int
+    inliers: int
+    keyframes: tuple[KeyframePose, ...]
+    landmark_ids: Ints | None = None
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+    disparity_offset_px: float = 0.0
+    median_disparity_px: float | None = None
+    faults: tuple[Fault, ...] = ()
+    tracked_anew_from: int | None = None
+    dropped: int = 0
+    predicted: PredictedPose | None = None
+
+    @property
+    def position(self) -> Floats | None:
+        """(3,) centre of cam0 in the world, None where there is no pose."""
+        return None if self.world_from_cam0 is None else self.world_from_cam0[:3, 3]
+
+    @property
+    def causal_pose(self) -> Floats | None:
+        """(4, 4) world_from_cam0 as tracked, else as predicted; None without either."""
+        if self.world_from_cam0 is not None or self.predicted is None:
+            return self.world_from_cam0
+        return self.predicted.world_from_cam0

@@ -1,0 +1,1 @@
+"""The odometry: a path and its uncertainty from frames."""

@@ -1,0 +1,47 @@
+"""Covariance of a window's poses, given that of the poses held fixed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.base.types import Bools, Floats
+
+
+def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
+    """Joint covariance of a window's K poses.
+
+    The held poses have errors too, which the others share:
+    error_free = -I_ff^-1 I_fh error_held + noise, noise ~ N(0, I_ff^-1).
+
+    Args:
+        information: (6 K, 6 K) of the window on its poses; 0 for poses it does not determine.
+        held: (K,) poses that stayed where they were.
+        known: (6 K, 6 K) joint covariance of the held ones, NaN where unknown; entries of the
+            others are ignored.
+
+    Returns:
+        (6 K, 6 K), with the covariances of the held ones unchanged; NaN for undetermined poses.
+
+    Source: Barfoot, "State Estimation for Robotics", 2017, sec. 2.2.3 (a joint density is that of
+    one part times that of the other given the first).
+    """
+    result = np.full_like(known, np.nan)
+    anchored = held & np.isfinite(np.diag(known)).reshape(-1, 6).all(axis=1)
+    free = ~anchored & (np.diag(information).reshape(-1, 6) > 0).all(axis=1)
+    h, f = np.flatnonzero(np.repeat(anchored, 6)), np.flatnonzero(np.repeat(free, 6))
+    of_held = known[np.ix_(h, h)]
+    result[np.ix_(h, h)] = of_held
+    try:
+        np.linalg.cholesky(information[np.ix_(f, f)])
+        noise = np.linalg.inv(information[np.ix_(f, f)])
+    except np.linalg.LinAlgError:  # not positive definite: some pose is not determined
+        return result
+    if len(h) == 0:
+        return result
+    gain = -noise @ information[np.ix_(f, h)]
+    shared = gain @ of_held
+    own = shared @ gain.T + noise
+    result[np.ix_(f, h)], result[np.ix_(h, f)] = shared, shared.T
+    # Rounding must not add up: an asymmetry would grow with every window.
+    result[np.ix_(f, f)] = 0.5 * (own + own.T)
+    return result

@@ -1,0 +1,165 @@
+"""Solution of a pose graph: true loops, worlds, poses and covariances of all keyframes."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from vo.base.types import Bools, Floats, Ints
+from vo.engine.backend.chain_motion import ChainMotions
+from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
+from vo.engine.backend.chain_worlds import (
+    doubted_markers,
+    place_chains,
+    plausible_loops,
+    with_contradicted_doubts,
+    without_weak_merges,
+    worlds_of,
+)
+from vo.engine.backend.graph_problem import GraphProblem
+from vo.engine.backend.loop_edges import LoopEdges, loop_edges
+from vo.engine.geometry import sim3
+from vo.engine.places.records import PlacedKeyframes, PlaceKey
+
+_log = logging.getLogger(__name__)
+
+
+def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
+    """Place all keyframes in worlds, in this process.
+
+    Loops must agree with odometry, or, between chains, with each other; across doubted motions they
+    may contradict odometry as well. Of those that do the true ones are found by graduated
+    non-convexity, and all poses by least squares. The first keyframe of the first chain of each
+    world stays where it is.
+
+    Raises:
+        ValueError: a loop is between keyframes that are not in the graph.
+    """
+    loops = loop_edges(problem)
+    try:
+        return _solved(problem, loops)
+    except RuntimeError as error:  # GTSAM's, of a system without a solution
+        _log.warning("the pose graph has no solution, loops are left out: %s", error)
+        return unplaced(problem)
+
+
+def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
+    problem = with_contradicted_doubts(problem, loops)
+    motions = ChainMotions(problem)
+    kept = _true_loops(problem, loops, motions)
+    chosen = loops.select(kept)
+    world = worlds_of(problem, chosen)
+    poses, covariance = _optimised(problem, chosen, motions, world)
+    scale = np.where(problem.is_metric, problem.scale, sim3.scale_of(poses))
+    rigid = sim3.rigid_part(poses)
+    connected = problem.chain[np.concatenate([chosen.earlier, chosen.later])]
+    alone = ~np.isin(problem.chain, connected)  # these keep every bit
+    scale[alone], rigid[alone] = problem.scale[alone], problem.odom_from_cam[alone]
+    in_world = covariance[:, :6, :6]
+    in_world[:, 3:] *= scale[:, None, None]
+    in_world[:, :, 3:] *= scale[:, None, None]
+    return PlacedKeyframes(
+        tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),
+        world,
+        rigid,
+        scale,
+        in_world,
+        tuple(loop for loop, is_kept in zip(problem.loops, kept, strict=True) if not is_kept),
+        _wrong_motions(problem, chosen),
+    )
+
+
+def _wrong_motions(problem: GraphProblem, loops: LoopEdges) -> tuple[PlaceKey, ...]:
+    """Keyframes that a doubted motion leads to, which accepted loops replace."""
+    ends = loops.earlier, loops.later
+    first, last = np.minimum(*ends), np.maximum(*ends)
+    inside = problem.chain[first] == problem.chain[last]
+    return tuple(
+        PlaceKey(int(problem.keys[n, 0]), int(problem.keys[n, 1]))
+        for n in np.flatnonzero(problem.is_doubted)
+        if (inside & (first < n) & (n <= last)).any()
+    )
+
+
+def _true_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
+    """(L,) loops that are accepted.
+
+    Loops by the look of places are believed before those by markers, which may have been moved.
+    """
+    plausible = plausible_loops(problem, loops, motions)
+    kept = _consistent_loops(problem, loops, motions, plausible)
+    by_look = plausible & (loops.marker < 0)
+    if (by_look == plausible).all():
+        return kept
+    alone = _consistent_loops(problem, loops, motions, by_look)
+    if (alone & ~kept).any():
+        return alone
+    doubted = doubted_markers(problem, loops, plausible, kept)
+    if len(doubted) == 0:
+        return kept
+    trusted = plausible & ~np.isin(loops.marker, doubted)
+    return _consistent_loops(problem, loops, motions, trusted)
+
+
+def _consistent_loops(
+    problem: GraphProblem, loops: LoopEdges, motions: ChainMotions, plausible: Bools
+) -> Bools:
+    """(L,) plausible loops that agree with each other."""
+    kept = plausible.copy()
+    while kept.any():
+        chosen = loops.select(kept)
+        reduced = reduce_graph(problem, motions, chosen)
+        start = place_chains(problem, chosen, motions)[reduced.knots]
+        gauge = _gauge(problem, worlds_of(problem, chosen), reduced)
+        from vo.engine.backend.robust_graph import keep_true_loops  # importing GTSAM takes long
+
+        kept[kept] = keep_true_loops(start, gauge, reduced.odometry, reduced.loops)
+        strong = without_weak_merges(problem, loops, kept)
+        if (strong == kept).all():
+            break
+        kept = strong
+    return kept
+
+
+def _optimised(
+    problem: GraphProblem, loops: LoopEdges, motions: ChainMotions, world: Ints
+) -> tuple[Floats, Floats]:
+    """Poses (n, 4, 4) and covariances (n, 7, 7) of all rows in their worlds."""
+    if len(loops) == 0:
+        first = np.flatnonzero(np.r_[True, world[1:] != world[:-1]])
+        start_of = np.repeat(first, np.diff(np.r_[first, len(world)]))
+        return motions.odom_from_cam.copy(), motions.covariance(start_of, np.arange(len(world)))
+    from vo.engine.backend.robust_graph import optimise
+
+    reduced = reduce_graph(problem, motions, loops)
+    start = place_chains(problem, loops, motions)[reduced.knots]
+    gauge = _gauge(problem, world, reduced)
+    found = optimise(start, gauge, reduced.odometry, reduced.loops)
+    poses, covariance = expand(reduced, motions, found.world_from, found.single, found.joint)
+    for n in gauge:  # exactly
+        first = reduced.knots[n]
+        exact = motions.odom_from_cam[first] @ sim3.inverse(poses[first])
+        rows = world == world[first]
+        poses[rows] = exact @ poses[rows]
+    return poses, covariance
+
+
+def _gauge(problem: GraphProblem, world: Ints, reduced: ReducedGraph) -> Ints:
+    """The first pose of the first chain of each world."""
+    of_first = problem.chain[reduced.knots] == world[reduced.knots]
+    _, first = np.unique(world[reduced.knots][of_first], return_index=True)
+    return np.asarray(np.flatnonzero(of_first)[first])
+
+
+def unplaced(problem: GraphProblem) -> PlacedKeyframes:
+    """All keyframes where odometry has them, and no loop accepted."""
+    count = len(problem.keys)
+    return PlacedKeyframes(
+        tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),
+        problem.chain,
+        problem.odom_from_cam,
+        problem.scale,
+        np.full((count, 6, 6), np.nan),
+        problem.loops,
+    )

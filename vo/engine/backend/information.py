@@ -1,0 +1,61 @@
+"""Information of a window on its poses, points eliminated, with correlated errors.
+
+The errors of aligned patches are small but not independent. A patch looks slightly different from
+every new viewpoint, so that its aligned position drifts from keyframe to keyframe; its disparity
+has nearly the same error everywhere. Independent errors would average out over a long track, which
+these do not: docs/experiments/patch-error-correlation.md has the autocorrelation of residuals from
+which this model is derived.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.types import Floats
+from vo.engine.backend import block_kernels
+from vo.engine.backend.linearisation import Linearised
+
+_MIN_OBSERVATIONS = 3  # of a pose
+
+
+class ErrorModel(NamedTuple):
+    """Standard deviations of measurements, relative to those that the window uses as weights.
+
+    Attributes:
+        white: of a position, independent in each keyframe.
+        creep: of the random walk of a position, per keyframe.
+        disparity: of a disparity, independent in each keyframe.
+        disparity_bias: of an error of a disparity that is the same in all keyframes.
+    """
+
+    white: float
+    creep: float
+    disparity: float
+    disparity_bias: float
+
+
+OF_PATCHES = ErrorModel(white=0.1, creep=0.2, disparity=0.25, disparity_bias=0.25)
+
+
+def pose_information(linear: Linearised, scale: float, model: ErrorModel = OF_PATCHES) -> Floats:
+    """(6 K, 6 K) information on K poses, for covariances `scale` times those of the model.
+
+    Points are eliminated by the Schur complement. 0 for poses with too few observations.
+
+    Source: Triggs et al., "Bundle Adjustment", 2000, sec. 6.1; of correlated observations
+    generalised least squares (Aitken 1935).
+    """
+    information = block_kernels.eliminated(
+        linear.poses,
+        linear.starts,
+        linear.keyframe,
+        linear.by_pose,
+        linear.by_point,
+        *(sigma**2 for sigma in model),
+    )
+    unknown = np.repeat(linear.seen < _MIN_OBSERVATIONS, 6)
+    information[unknown] = 0.0
+    information[:, unknown] = 0.0
+    return np.asarray(information / scale)

@@ -1,0 +1,159 @@
+"""Bundle adjustment of a path with loops: all observations, and measured motions between poses.
+
+The points are eliminated as in windows (`bundle`). What is left are dense normal equations of the
+poses, to which each loop adds its own, damped as by Levenberg and Marquardt. GTSAM would need the
+square root of the dense hessian in each step, whose decomposition takes ten times as long where,
+with one camera, the scale is hardly determined.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.transforms import adjoint, inverse, orthonormalised
+from vo.base.types import Floats, Ints
+from vo.engine.backend.bundle import Bundle
+from vo.engine.backend.residuals import residuals
+from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.geometry import sim3
+
+if TYPE_CHECKING:
+    from vo.base.config import SmoothingConfig
+
+_HUBER = 1.345  # standard deviations from which the error of a motion weighs less
+_FIRST_DAMPING, _MAX_DAMPING = 1e-6, 1e3  # relative to the diagonal of the hessian
+_MAX_STEPS = 30
+_MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
+
+
+class Motions(NamedTuple):
+    """Measured motions between poses; rows belong together.
+
+    Attributes:
+        earlier: (L,) rows of the poses to which they are relative.
+        later: (L,) rows of the other poses.
+        earlier_from_later: (L, 4, 4).
+        covariance: (L, 6, 6) in the frame of the later pose, rotation before translation.
+    """
+
+    earlier: Ints
+    later: Ints
+    earlier_from_later: Floats
+    covariance: Floats
+
+
+class AdjustedPath(NamedTuple):
+    """Result for K poses and M points.
+
+    Attributes:
+        world_from_cam: (K, 4, 4), the first one as it was.
+        points: (M, 3).
+    """
+
+    world_from_cam: Floats
+    points: Floats
+
+
+def adjust_path(
+    problem: WindowProblem, motions: Motions, config: SmoothingConfig
+) -> AdjustedPath | None:
+    """Optimise all poses but the first, and all points; None where nothing can be optimised.
+
+    Args:
+        problem: poses, points and observations; its fixed poses and factors are ignored.
+        motions: beside the observations.
+        config: settings of the observations' weights.
+    """
+    count = len(problem.world_from_cam)
+    _, depth = residuals(problem, problem.world_from_cam, problem.points)
+    usable = np.bincount(problem.point, minlength=len(problem.points)) >= 2
+    usable[problem.point[~(depth > 0)]] = False
+    if count < 2 or not usable.any():
+        return None
+    bundle = Bundle(replace(problem, fixed=np.arange(count) == 0), usable, config)
+    edges = _Edges(motions)
+    poses = problem.world_from_cam
+    cost = bundle.cost(poses) + edges.cost(poses)
+    damping = _FIRST_DAMPING
+    for _ in range(_MAX_STEPS):
+        normal = bundle.normal_equations(poses)
+        hessian, gradient = edges.added_to(normal.hessian, normal.gradient, poses)
+        before = cost
+        while damping <= _MAX_DAMPING:
+            moved = _moved(poses, _step(hessian, gradient, damping))
+            new = bundle.cost(moved) + edges.cost(moved)
+            if new < cost:
+                poses, cost, damping = moved, new, max(0.1 * damping, _FIRST_DAMPING)
+                break
+            damping *= 10.0
+        if before - cost <= _MIN_DECREASE * before:
+            break
+    points = bundle.points_for(poses)
+    if not (np.isfinite(poses).all() and np.isfinite(points[usable]).all()):
+        return None
+    return AdjustedPath(poses, points)
+
+
+class _Edges:
+    """Errors of the motions, whitened, with Huber's loss."""
+
+    def __init__(self, motions: Motions) -> None:
+        self._motions = motions
+        self._back = inverse(motions.earlier_from_later)
+        # With covariance = L L^T, errors e have the whitened ones L^-1 e.
+        self._whitening = np.linalg.inv(np.linalg.cholesky(motions.covariance))
+
+    def cost(self, poses: Floats) -> float:
+        """Half the robust sum of squares for poses (K, 4, 4)."""
+        size = np.linalg.norm(self._errors(poses), axis=1)
+        return float(np.where(size < _HUBER, 0.5 * size**2, _HUBER * (size - 0.5 * _HUBER)).sum())
+
+    def added_to(self, hessian: Floats, gradient: Floats, poses: Floats) -> tuple[Floats, Floats]:
+        """Normal equations with those of the motions; the first pose has no rows in them."""
+        errors = self._errors(poses)
+        weight = _HUBER / np.maximum(np.linalg.norm(errors, axis=1), _HUBER)
+        earlier, later = self._motions.earlier, self._motions.later
+        later_from_earlier = inverse(poses[later]) @ poses[earlier]
+        by_later = self._whitening
+        by_earlier = -self._whitening @ adjoint(later_from_earlier)
+        hessian, gradient = hessian.copy(), gradient.copy()
+        for n in range(len(earlier)):
+            ends = ((int(earlier[n]), by_earlier[n]), (int(later[n]), by_later[n]))
+            for row, by_row in ends:
+                if row == 0:
+                    continue
+                at = slice(6 * row - 6, 6 * row)
+                gradient[at] += weight[n] * by_row.T @ errors[n]
+                for column, by_column in ends:
+                    if column > 0:
+                        there = slice(6 * column - 6, 6 * column)
+                        hessian[at, there] += weight[n] * by_row.T @ by_column
+        return hessian, gradient
+
+    def _errors(self, poses: Floats) -> Floats:
+        """(L, 6) whitened tangents from the measured to the present motions."""
+        present = inverse(poses[self._motions.earlier]) @ poses[self._motions.later]
+        error = sim3.local(self._back @ present)[:, :6]
+        return np.asarray(np.einsum("nij,nj->ni", self._whitening, error))
+
+
+def _step(hessian: Floats, gradient: Floats, damping: float) -> Floats:
+    """(K - 1, 6) tangents of the poses after the first; 0 where they are not determined."""
+    diagonal = np.diag(hessian)
+    damped = hessian + np.diag(damping * np.maximum(diagonal, 1e-9 * diagonal.max()))
+    try:
+        return np.asarray(np.linalg.solve(damped, -gradient)).reshape(-1, 6)
+    except np.linalg.LinAlgError:
+        return np.zeros((len(gradient) // 6, 6))
+
+
+def _moved(poses: Floats, step: Floats) -> Floats:
+    tangent = np.zeros((len(step), 7))
+    tangent[:, :6] = step
+    result = poses.copy()
+    for k, motion in enumerate(sim3.retract(tangent), start=1):
+        result[k] = orthonormalised(poses[k] @ motion)
+    return result

@@ -1,0 +1,254 @@
+"""Pose graph of a run: collects stored keyframes and loops, and has them placed."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vo.base.geometry.transforms import adjoint, inverse
+from vo.base.types import Floats
+from vo.engine.backend.process import SolverProcess
+from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
+
+if TYPE_CHECKING:  # imported with the first graph: it takes 15 ms
+    from vo.engine.backend.graph_problem import GraphProblem
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class _Node:
+    key: PlaceKey
+    chain: int
+    is_rigid: bool
+    is_metric: bool
+    odom_from_cam: Floats
+    scale: float
+    covariance: Floats
+    is_doubted: bool = False
+    is_inertial: bool = False
+
+
+class PoseGraph:
+    """Collects stored keyframes and loops, and has them optimised.
+
+    The result of `submit` is to be requested (`result`) at a fixed keyframe, so that it does not
+    depend on the load of the machine.
+
+    Attributes:
+        unconfirmed: names those of the keyframes `PlacedKeyframes.wrong` whose new motion the
+            images do not confirm. Their motions stay as they were.
+
+    Args:
+        threads: with more than one, graphs are optimised in another process, which is started by
+            the first `submit` with loops.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        self.unconfirmed: Callable[[PlacedKeyframes], Sequence[PlaceKey]] = lambda _: ()
+        # Later graphs place the keyframes beside a motion anew, and less accurately.
+        self._confirmed: set[PlaceKey] = set()  # by images in an earlier graph
+        self._threads = threads
+        self._nodes: dict[PlaceKey, _Node] = {}
+        self._loops: list[Loop] = []
+        self._first_segment = 0  # number of the chain of the run's segment 0
+        self._process: SolverProcess[GraphProblem, PlacedKeyframes] | None = None
+        self._submitted: GraphProblem | None = None
+        self._is_in_process = False
+
+    def add_keyframe(self, keyframe: PathKeyframe) -> None:
+        """Add a keyframe of the run, after all before it in its segment."""
+        self._nodes[keyframe.key] = _Node(
+            keyframe.key,
+            self._first_segment + keyframe.frame.segment,
+            False,
+            keyframe.is_metric,
+            keyframe.odom_from_cam,
+            1.0,
+            keyframe.covariance,
+            keyframe.is_doubted,
+        )
+
+    def add_map(self, placed: PlacedKeyframes, is_metric: Sequence[bool]) -> None:
+        """Add the keyframes of a loaded map, which keep their relative poses.
+
+        To be called before any keyframe of the run is added. Worlds of the map keep their numbers,
+        and segments of the run are numbered after them.
+
+        Args:
+            placed: where they are in the map.
+            is_metric: (n,) whether lengths are metres.
+        """
+        for n, key in enumerate(placed.keys):
+            self._nodes[key] = _Node(
+                key,
+                int(placed.world[n]),
+                True,
+                is_metric[n],
+                placed.world_from_cam[n],
+                float(placed.scale[n]),
+                np.zeros((6, 6)),
+            )
+        self._first_segment = int(placed.world.max(initial=-1)) + 1
+
+    def add_loop(self, loop: Loop) -> None:
+        """Add a verified loop between keyframes that were added."""
+        self._loops.append(loop)
+
+    def keep_loops(self, kept: Sequence[int]) -> None:
+        """Forget all loops but those of increasing indices."""
+        self._loops = [self._loops[n] for n in kept]
+
+    def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
+        """Remove culled keyframes; the motions before and after each are joined.
+
+        Keyframes of loops stay, for what the loops measured. Those removed before are ignored.
+        """
+        needed = {key for loop in self._loops for key in (loop.earlier, loop.later)}
+        gone = {key for key in keys if key in self._nodes} - needed
+        carried: _Node | None = None
+        for node in self._ordered():
+            if carried is not None and carried.chain == node.chain:
+                node.covariance = _joined(carried, node)
+                node.is_doubted |= carried.is_doubted
+            carried = node if node.key in gone else None
+        for key in keys:
+            if key in gone:
+                del self._nodes[key]
+
+    def submit(
+        self,
+        inertial: Mapping[PlaceKey, InertialPose] | None = None,
+        doubted: Sequence[int] = (),
+    ) -> None:
+        """Begin to optimise the graph as it is now.
+
+        Args:
+            inertial: poses of keyframes by an inertial sensor, where it has given them. They take
+                the place of those by odometry, and other keyframes of their segments follow the
+                nearest one before them. Segments in one world by the sensor are one chain.
+            doubted: ids of markers whose loops are false.
+        """
+        self._start(self._problem(inertial or {}, doubted))
+
+    def _start(self, problem: GraphProblem) -> None:
+        self._submitted = problem
+        self._is_in_process = self._threads > 1 and len(self._loops) > 0
+        if not self._is_in_process:
+            return
+        from vo.engine.backend.graph_solution import optimise_graph, unplaced
+
+        try:
+            if self._process is None:
+                self._process = SolverProcess(optimise_graph, unplaced)
+            self._process.submit(problem)
+        except OSError as error:
+            _log.warning("optimising in this process, no other can be started: %s", error)
+            self._threads, self._is_in_process = 1, False
+
+    def result(self) -> PlacedKeyframes:
+        """Wait for the placed keyframes of the graph that was submitted.
+
+        Loops that the graph takes for false are in `rejected`; they stay in the graph and may be
+        accepted later, with more loops.
+
+        Raises:
+            RuntimeError: nothing was submitted.
+        """
+        if self._submitted is None:
+            raise RuntimeError("no graph was submitted")
+        problem = self._submitted
+        placed = self._solved(problem)
+        while refused := set(self.unconfirmed(placed) if placed.wrong else ()) - self._confirmed:
+            trusted = [PlaceKey(*key) in refused for key in problem.keys.tolist()]
+            problem = replace(problem, is_doubted=problem.is_doubted & ~np.array(trusted))
+            self._start(problem)
+            placed = self._solved(problem)
+        self._confirmed.update(placed.wrong)
+        self._submitted = None
+        return placed
+
+    def _solved(self, problem: GraphProblem) -> PlacedKeyframes:
+        if self._is_in_process and self._process is not None:
+            return self._process.result()
+        from vo.engine.backend.graph_solution import optimise_graph
+
+        return optimise_graph(problem)
+
+    def close(self) -> None:
+        """End the other process."""
+        if self._process is not None:
+            self._process.close()
+
+    def _ordered(self) -> list[_Node]:
+        return sorted(self._nodes.values(), key=_order)
+
+    def _problem(
+        self, inertial: Mapping[PlaceKey, InertialPose], doubted: Sequence[int]
+    ) -> GraphProblem:
+        from vo.engine.backend.graph_problem import GraphProblem
+
+        nodes = self._ordered()
+        if inertial:
+            nodes = self._by_inertial_poses(nodes, inertial)
+        return GraphProblem(
+            keys=np.array([node.key for node in nodes], dtype=np.int64).reshape(-1, 2),
+            chain=np.array([node.chain for node in nodes], dtype=np.int64),
+            is_rigid=np.array([node.is_rigid for node in nodes], dtype=bool),
+            is_metric=np.array([node.is_metric for node in nodes], dtype=bool),
+            is_inertial=np.array([node.is_inertial for node in nodes], dtype=bool),
+            odom_from_cam=np.array([node.odom_from_cam for node in nodes]).reshape(-1, 4, 4),
+            scale=np.array([node.scale for node in nodes]),
+            covariance=np.array([node.covariance for node in nodes]).reshape(-1, 6, 6),
+            is_doubted=np.array([node.is_doubted for node in nodes], dtype=bool),
+            loops=tuple(self._loops),
+            doubted=tuple(doubted),
+        )
+
+    def _by_inertial_poses(
+        self, nodes: Sequence[_Node], inertial: Mapping[PlaceKey, InertialPose]
+    ) -> list[_Node]:
+        """All nodes in their order, those of segments with inertial poses at these."""
+        result: list[_Node] = []
+        for segment, group in groupby(nodes, key=lambda node: node.chain):
+            members = list(group)
+            last = next((node for node in members if node.key in inertial), None)
+            if last is None:
+                result += members
+                continue
+            chain = self._first_segment + inertial[last.key].world
+            for number, node in enumerate(members):
+                last = node if node.key in inertial else last
+                placed = _follow(node, last, inertial[last.key], chain)
+                if number == 0 and segment != chain:  # no images lead here
+                    placed.covariance = np.full((6, 6), np.nan)
+                result.append(placed)
+        return sorted(result, key=_order)
+
+
+def _order(node: _Node) -> tuple[int, PlaceKey]:
+    return node.chain, node.key
+
+
+def _follow(node: _Node, last: _Node, known: InertialPose, chain: int) -> _Node:
+    """A keyframe at the place that follows from the inertial pose of another one."""
+    motion = inverse(last.odom_from_cam) @ node.odom_from_cam
+    motion[:3, 3] *= known.scale
+    return replace(
+        node,
+        chain=chain,
+        odom_from_cam=known.world_from_cam @ motion,
+        scale=known.scale,
+        is_inertial=True,
+    )
+
+
+def _joined(before: _Node, after: _Node) -> Floats:
+    """Covariance of two steps, of which the first ends in `before`, in the frame of `after`."""
+    carried = adjoint(inverse(after.odom_from_cam) @ before.odom_from_cam)
+    return np.asarray(carried @ before.covariance @ carried.T + after.covariance)

@@ -1,0 +1,102 @@
+"""The solution of a window: poses, points, their information, and the calibration residual."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vo.base.records.calibration_errors import CalibrationResidual
+from vo.base.types import Bools, Floats
+from vo.engine.backend.bundle import Bundle
+from vo.engine.backend.calibration_residual import estimate_calibration_residual
+from vo.engine.backend.gauge import gauge_of
+from vo.engine.backend.information import pose_information
+from vo.engine.backend.linearisation import linearise
+from vo.engine.backend.window_problem import WindowProblem
+
+if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
+    from vo.base.config import SmoothingConfig
+    from vo.engine.backend.bundle_adjustment import AdjustedWindow
+
+
+class WindowSolution(NamedTuple):
+    """The solution of a `WindowProblem` of K poses and M points.
+
+    Attributes:
+        world_from_cam: (K, 4, 4) optimised.
+        held: (K,) poses that stayed where they were: the fixed ones, or else the first.
+        information: (6 K, 6 K) on all poses, tangent (rx ry rz tx ty tz) in the camera's own
+            frame; 0 for poses that it does not determine.
+        points: (M, 3) optimised.
+        point_ok: (M,) False for degenerate points.
+        calibration_residual: None if it is not determined, or not estimated.
+        converged: False if nothing could be optimised; all is then as in the problem.
+        states: further states by key, see `WindowFactor`.
+    """
+
+    world_from_cam: Floats
+    held: Bools
+    information: Floats
+    points: Floats
+    point_ok: Bools
+    calibration_residual: CalibrationResidual | None
+    converged: bool
+    states: dict[int, Floats]
+
+
+def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
+    """Optimise a window in this process."""
+    from vo.engine.backend.bundle_adjustment import adjust_window  # importing GTSAM takes long
+
+    adjusted = adjust_window(problem, config)
+    if adjusted is None:
+        return unsolved(problem)
+    return WindowSolution(
+        adjusted.world_from_cam,
+        gauge_of(problem).held,
+        _information(problem, adjusted, config),
+        adjusted.points,
+        adjusted.point_ok,
+        _calibration_residual(problem, adjusted, config),
+        True,
+        adjusted.states,
+    )
+
+
+def unsolved(problem: WindowProblem) -> WindowSolution:
+    """A window left as it was, without information."""
+    poses, points = problem.world_from_cam, problem.points
+    nothing = np.zeros((6 * len(poses), 6 * len(poses)))
+    ok = np.ones(len(points), dtype=bool)
+    held = gauge_of(problem).held
+    return WindowSolution(poses, held, nothing, points, ok, None, False, {})
+
+
+def _information(
+    problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
+) -> Floats:
+    poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
+    linear = linearise(problem, poses, points, ok, config)
+    information = pose_information(linear, config.covariance_scale)
+    _, scaled, sigmas = gauge_of(problem)
+    if scaled is not None:
+        rows = np.arange(6 * scaled, 6 * scaled + 6)
+        information[rows, rows] += sigmas**-2.0
+    if adjusted.information is not None:
+        information += adjusted.information
+    return information
+
+
+def _calibration_residual(
+    problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
+) -> CalibrationResidual | None:
+    if not problem.estimates_calibration:
+        return None
+    poses = adjusted.world_from_cam
+    only_first = np.arange(len(poses)) == 0
+    free = replace(problem, points=adjusted.points, fixed=only_first)
+    bundle = Bundle(free, adjusted.point_ok, config)
+    normal = bundle.normal_equations(poses, with_calibration=True)
+    return estimate_calibration_residual(normal, bundle.calibration_size, bundle.check_size)

@@ -1,0 +1,85 @@
+"""A window of keyframes to be optimised: poses, landmarks, observations and further factors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from vo.base.geometry.projection import Intrinsics
+from vo.base.types import Bools, Floats, Ints
+
+if TYPE_CHECKING:
+    import gtsam
+
+    from vo.engine.mapping.keyframe import Keyframe
+
+
+class WindowFactor(Protocol):
+    """A factor between the poses of a window, and perhaps further states, beside the observations.
+
+    It is pickled, because windows are optimised in another process.
+    """
+
+    def add_to(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        pose_key: Callable[[int], int],
+    ) -> None:
+        """Add GTSAM factors, and initial values of further states that are not there yet.
+
+        Args:
+            graph: receives the factors.
+            values: receives the states; it holds a `gtsam.Pose3` (world_from_cam) of every pose.
+                Keys of further states are made by `gtsam.symbol`, with a character of their own.
+            pose_key: key of a pose by its row in `WindowProblem.world_from_cam`.
+        """
+        ...
+
+
+class FactorSource(Protocol):
+    """Gives the factors of each window, such as inertial ones, and receives their states."""
+
+    def factors(self, keyframes: Sequence[Keyframe]) -> Sequence[WindowFactor]:
+        """Factors between these keyframes, whose order is that of the window's poses."""
+        ...
+
+    def update(self, keyframes: Sequence[Keyframe], states: dict[int, Floats]) -> None:
+        """Receive the optimised states by key, after the keyframes were moved."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class WindowProblem:
+    """A window of K poses, M points, N observations and further factors.
+
+    Attributes:
+        intrinsics: of the rectified camera.
+        baseline_m: distance to the right camera, 0 in mono.
+        sigma_disparity_px: standard deviation of a disparity.
+        world_from_cam: (K, 4, 4) first guess.
+        fixed: (K,) poses that stay where they are.
+        points: (M, 3) in the world.
+        keyframe: (N,) row in world_from_cam of each observation.
+        point: (N,) row in points of each observation.
+        xy: (N, 2) ideal pixels.
+        disparity: (N,) pixels, NaN without a measurement.
+        sigma_px: (N,) standard deviation of xy.
+        estimates_calibration: whether to estimate the residual of the calibration.
+        factors: factors beside the observations.
+    """
+
+    intrinsics: Intrinsics
+    baseline_m: float
+    sigma_disparity_px: float
+    world_from_cam: Floats
+    fixed: Bools
+    points: Floats
+    keyframe: Ints
+    point: Ints
+    xy: Floats
+    disparity: Floats
+    sigma_px: Floats
+    estimates_calibration: bool = True
+    factors: tuple[WindowFactor, ...] = ()

@@ -1,0 +1,1 @@
+"""Detectors, descriptors and matchers by name, as the odometry uses them."""

@@ -1,0 +1,111 @@
+"""Comparison of images by their gradients, in windows."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.base.compiling.function import compiled
+from vo.base.types import Bools, Bytes, Floats32
+
+_SIDE_PX, _RADIUS_PX = 7, 3  # of the window whose gradients are compared
+_MIN_CURVATURE = 0.02  # of the correlation along an axis; less is an edge, along which all matches
+
+
+class Gradients(NamedTuple):
+    """Gradient (H, W) along u and v, and its mean square in a window."""
+
+    u: Floats32
+    v: Floats32
+    energy: Floats32
+
+
+class Displacement(NamedTuple):
+    """Where gradients match others best.
+
+    Attributes:
+        correlation: (H, W) at the same place.
+        squared_px: (H, W) square of the distance to the maximum of the correlation.
+        is_corner: (H, W) whether the distance is known along both axes.
+    """
+
+    correlation: Floats32
+    squared_px: Floats32
+    is_corner: Bools
+
+
+def gradients_of(image: Bytes) -> Gradients:
+    """Gradients of an image (H, W) uint8, grey levels per pixel."""
+    u, v = (g.astype(np.float32) * np.float32(0.125) for g in cv2.spatialGradient(image))
+    return Gradients(u, v, mean_product(u, v, u, v))
+
+
+def correlation(now: Gradients, u: Floats32, v: Floats32, energy: Floats32) -> Floats32:
+    """(H, W) correlation of gradients with others, which have no mean to be removed."""
+    product = mean_product(now.u, now.v, u, v)
+    scale = now.energy * energy
+    scale += np.float32(1e-3)
+    product /= np.sqrt(scale, out=scale)
+    return product
+
+
+def mean_product(u: Floats32, v: Floats32, other_u: Floats32, other_v: Floats32) -> Floats32:
+    """(H, W) mean of the scalar product of two vectors in the window round each pixel."""
+    return np.asarray(_mean_product(u, v, other_u, other_v))
+
+
+@compiled
+def _mean_product(u, v, other_u, other_v):  # type: ignore[no-untyped-def]
+    """In one pass over the images, which are mirrored at their borders.
+
+    The products of seven rows are kept, and added anew for each row, so that no errors add up.
+    """
+    height, width = u.shape
+    kept = np.zeros((_SIDE_PX, width + 2 * _RADIUS_PX), np.float32)
+    sums = np.empty(width + 2 * _RADIUS_PX, np.float32)
+    mean = np.empty((height, width), np.float32)
+    for y in range(-_RADIUS_PX, height + _RADIUS_PX):
+        mirrored = height - 1 - abs(height - 1 - abs(y))
+        row, products = max(mirrored, 0), kept[(y + _RADIUS_PX) % _SIDE_PX]
+        for x in range(width):
+            products[x + _RADIUS_PX] = u[row, x] * other_u[row, x] + v[row, x] * other_v[row, x]
+        first, last = _RADIUS_PX, width - 1 + _RADIUS_PX
+        for k in range(1, _RADIUS_PX + 1):
+            products[first - k], products[last + k] = products[first + k], products[last - k]
+        if y < _RADIUS_PX:
+            continue
+        for x in range(width + 2 * _RADIUS_PX):  # written out, the compiler adds several pixels
+            sums[x] = (kept[0, x] + kept[1, x] + kept[2, x] + kept[3, x]) + (
+                kept[4, x] + kept[5, x] + kept[6, x]
+            )
+        for x in range(width):
+            total = (sums[x] + sums[x + 1] + sums[x + 2] + sums[x + 3]) + (
+                sums[x + 4] + sums[x + 5] + sums[x + 6]
+            )
+            mean[y - _RADIUS_PX, x] = total * np.float32(1.0 / _SIDE_PX**2)
+    return mean
+
+
+def displacement(now: Gradients, u: Floats32, v: Floats32) -> Displacement:
+    """How far gradients lie from where they match others (H, W) along u and v best.
+
+    The correlation's maximum along each axis is that of a parabola through shifts of -1, 0, and
+    1 pixel; a shift along an edge cannot be measured and counts as none.
+    """
+
+    def correlation_at(shift: int, axis: int) -> Floats32:
+        shifted_u, shifted_v = np.roll(u, shift, axis), np.roll(v, shift, axis)
+        energy = mean_product(shifted_u, shifted_v, shifted_u, shifted_v)
+        return correlation(now, shifted_u, shifted_v, energy)
+
+    centre = correlation_at(0, 0)
+    squared, is_corner = np.zeros_like(centre), np.ones(centre.shape, dtype=bool)
+    for axis in (0, 1):
+        before, after = correlation_at(-1, axis), correlation_at(1, axis)
+        curvature = 2.0 * centre - before - after
+        peak = 0.5 * (after - before) / np.maximum(curvature, _MIN_CURVATURE)
+        squared += np.where(curvature > _MIN_CURVATURE, peak * peak, 0.0)
+        is_corner &= curvature > _MIN_CURVATURE
+    return Displacement(centre, squared, is_corner)

@@ -1,0 +1,148 @@
+"""Stereo matching: sub-pixel disparities of features and patches in a rectified pair."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.base.config import StereoConfig
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.types import Floats, Ints
+from vo.engine.frontend.contracts import EpipolarSegments, FeatureExtractor, Matcher, feature_set
+from vo.engine.frontend.depth import disparity_from_depth
+from vo.engine.frontend.patch_alignment import PatchAligner, patches_of
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.geometry.image_masks import used_at
+from vo.engine.geometry.neighbours import NEIGHBOURS, median_of_nearest
+from vo.engine.geometry.surfaces import inverse_depth_slopes, left_from_right
+
+_RATIO = 0.9  # ratio test; looser than in tracking, as the search is along one row
+# Maximum difference between a measured disparity and its guess: pixels, and ratio of the guess.
+_MAX_CHANGE_PX, _MAX_CHANGE_RATIO = 3.0, 0.2
+
+
+class StereoMatcher:
+    """Measures disparities, from a right image or from measured depth."""
+
+    def __init__(
+        self,
+        extractor: FeatureExtractor,
+        matcher: Matcher,
+        patches: PatchAligner,
+        config: StereoConfig,
+    ) -> None:
+        self._scale_factor = extractor.scale_factor
+        self._matcher = matcher
+        self._patches = patches
+        self._config = config
+
+    @property
+    def sigma_disparity_px(self) -> float:
+        """Standard deviation of a disparity, pixels."""
+        return self._config.sigma_disparity_px
+
+    @property
+    def min_disparity_px(self) -> float:
+        """Minimum disparity of a new landmark, pixels."""
+        return self._config.min_disparity_px
+
+    def measure(
+        self,
+        frame: PreprocessedFrame,
+        xy: Floats,
+        guess: Floats,
+        rig: RectifiedRig,
+        slope: Floats | None = None,
+    ) -> Floats:
+        """Sub-pixel disparities (n,) at pixels (n, 2) of the left image, NaN where there is none.
+
+        Args:
+            frame: the frame; without right image and depth all disparities are NaN.
+            xy: (n, 2) pixels in the left image.
+            guess: (n,) expected disparities.
+            rig: the rectified cameras.
+            slope: (n, 2) change of inverse depth from pixel to pixel, relative to it, 1/px: the
+                right camera sees the patch of an inclined surface sheared. None if unknown.
+        """
+        if frame.depth is not None:
+            return disparity_from_depth(frame.depth, xy, rig)
+        if frame.right is None:
+            return np.full(len(xy), np.nan)
+        return self._measure_in_pair(frame, xy, guess, rig, slope)
+
+    def disparities(self, frame: PreprocessedFrame, rows: Ints, rig: RectifiedRig) -> Floats:
+        """Sub-pixel disparities (n,) of some features of a frame, NaN where there is none."""
+        left = frame.keypoints
+        xy = left.xy[rows].astype(np.float64)
+        if frame.depth is not None:
+            return disparity_from_depth(frame.depth, xy, rig)
+        assert frame.right is not None
+        right = frame.right[1].result()
+        width = frame.image0.shape[1]
+        max_offset = self._config.max_row_offset_px
+        region = EpipolarSegments(
+            xy - (self._config.max_disparity_ratio * width, 0.0),
+            xy + (max_offset, 0.0),
+            max_offset * self._scale_factor ** right.octave.astype(np.float64),
+        )
+        matches = self._matcher.match(
+            feature_set(left, rows),
+            feature_set(right),
+            region,
+            ratio=_RATIO,
+            check_rotation=False,
+        )
+        found = matches.query
+        disparity = np.full(len(rows), np.nan)
+        right_u = right.xy[matches.train, 0].astype(np.float64)
+        guess = xy[found, 0] - right_u - rig.disparity_error(right_u)
+        disparity[found] = self._measure_in_pair(frame, xy[found], guess, rig)
+        disparity = self._fill_from_neighbours(disparity, xy, frame, rig)
+        return self._measure_on_surfaces(disparity, xy, frame, rig)
+
+    def _measure_in_pair(
+        self,
+        frame: PreprocessedFrame,
+        xy: Floats,
+        guess: Floats,
+        rig: RectifiedRig,
+        slope: Floats | None = None,
+    ) -> Floats:
+        assert frame.right is not None
+        image0, image1, mask = frame.image0, frame.right[0], frame.masks[1]
+        expected = guess + rig.disparity_error(xy[:, 0] - guess)
+        start = xy - np.column_stack([expected, np.zeros(len(guess))])
+        shear = None if slope is None else left_from_right(guess, slope)
+        found = self._patches.align(patches_of(image0, xy, shear), image1, start)
+        disparity = xy[:, 0] - found.xy[:, 0] - rig.disparity_error(found.xy[:, 0])
+        good = self._patches.is_found(found)
+        good &= np.abs(found.xy[:, 1] - xy[:, 1]) <= self._config.max_row_offset_px
+        max_change = np.maximum(_MAX_CHANGE_PX, _MAX_CHANGE_RATIO * guess)
+        good &= (disparity > 0) & (np.abs(disparity - guess) <= max_change)
+        if mask is not None:
+            good[good] = used_at(mask, found.xy[good])
+        return np.where(good, disparity, np.nan)
+
+    def _fill_from_neighbours(
+        self, disparity: Floats, xy: Floats, frame: PreprocessedFrame, rig: RectifiedRig
+    ) -> Floats:
+        """Try features without a match, such as those in grass, at their neighbours' disparity."""
+        is_known = ~np.isnan(disparity)
+        known, missing = np.flatnonzero(is_known), np.flatnonzero(~is_known)
+        if len(known) < NEIGHBOURS or len(missing) == 0:
+            return disparity
+        guess = median_of_nearest(xy[missing], xy[known], disparity[known])
+        filled = disparity.copy()
+        filled[missing] = self._measure_in_pair(frame, xy[missing], guess, rig)
+        return filled
+
+    def _measure_on_surfaces(
+        self, disparity: Floats, xy: Floats, frame: PreprocessedFrame, rig: RectifiedRig
+    ) -> Floats:
+        """Measure disparities again with the shear that follows from neighbouring disparities."""
+        known = np.flatnonzero(disparity > 0.0)
+        at, guess = xy[known], disparity[known]
+        slope = inverse_depth_slopes(rig.undistort(at), guess, np.arange(len(known)))
+        again = self._measure_in_pair(frame, at, guess, rig, slope)
+        measured = disparity.copy()
+        measured[known] = np.where(np.isnan(again), guess, again)
+        return measured

@@ -1,0 +1,156 @@
+"""Triangulation of points from two views."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.compiling.function import compiled
+from vo.base.geometry.projection import Intrinsics, project, to_camera
+from vo.base.types import Bools, Floats
+
+
+def triangulate(
+    second_from_first: Floats, rays_first: Floats, rays_second: Floats
+) -> tuple[Floats, Floats]:
+    """Triangulate by the midpoint method: the middle of the shortest line between two rays.
+
+    It needs no SVD, and the optimizer refines the points.
+
+    Args:
+        second_from_first: (4, 4).
+        rays_first: (N, 2) normalised image points (x/z, y/z).
+        rays_second: (N, 2) the same in the second view.
+
+    Returns:
+        Points (N, 3) in the first camera's frame, with negative depth where rays diverge, infinite
+        where they are parallel; and the angles (N,) between the rays in rad.
+
+    Source: Hartley and Sturm, "Triangulation", 1997.
+    """
+    centre = -second_from_first[:3, :3].T @ second_from_first[:3, 3]
+    points, angle = _triangulate(
+        np.ascontiguousarray(second_from_first),
+        centre,
+        np.ascontiguousarray(rays_first),
+        np.ascontiguousarray(rays_second),
+    )
+    return points, angle
+
+
+@compiled
+def _triangulate(pose, centre, first, second):  # type: ignore[no-untyped-def]
+    """`centre` is the second camera's position in the first frame; a and b are unit rays there."""
+    points, angle = np.empty((len(first), 3)), np.empty(len(first))
+    a, b = np.empty(3), np.empty(3)
+    for n in range(len(first)):
+        x, y = second[n]
+        length_a = np.sqrt(first[n, 0] ** 2 + first[n, 1] ** 2 + 1.0)
+        length_b = np.sqrt(x * x + y * y + 1.0)
+        a[0], a[1], a[2] = first[n, 0] / length_a, first[n, 1] / length_a, 1.0 / length_a
+        for i in range(3):
+            b[i] = (pose[0, i] * x + pose[1, i] * y + pose[2, i]) / length_b
+        cosine, ahead_a, ahead_b = 0.0, 0.0, 0.0
+        for i in range(3):
+            cosine += a[i] * b[i]
+            ahead_a += a[i] * centre[i]
+            ahead_b += b[i] * centre[i]
+        sine_squared = (
+            (a[1] * b[2] - a[2] * b[1]) ** 2
+            + (a[2] * b[0] - a[0] * b[2]) ** 2
+            + (a[0] * b[1] - a[1] * b[0]) ** 2
+        )
+        angle[n] = np.arctan2(np.sqrt(sine_squared), cosine)
+        if sine_squared > 0.0:
+            along_a = (ahead_a - cosine * ahead_b) / sine_squared
+            along_b = (cosine * ahead_a - ahead_b) / sine_squared
+            for i in range(3):
+                points[n, i] = 0.5 * (a[i] * along_a + centre[i] + b[i] * along_b)
+        size = abs(points[n, 0]) + abs(points[n, 1]) + abs(points[n, 2])
+        if not (sine_squared > 0.0 and np.isfinite(size)):
+            for i in range(3):
+                points[n, i] = np.inf
+    return points, angle
+
+
+def in_front(points: Floats, second_from_first: Floats) -> Bools:
+    """Mask (N,) of points (N, 3) in the first camera's frame that are in front of both cameras."""
+    with np.errstate(invalid="ignore"):
+        depth_second = points @ second_from_first[2, :3] + second_from_first[2, 3]
+        return np.asarray((points[:, 2] > 0) & (depth_second > 0) & np.isfinite(depth_second))
+
+
+class TriangulatedPoints(NamedTuple):
+    """Points triangulated from matched pixels of two views by one camera.
+
+    Attributes:
+        xyz: (N, 3) in the first camera's frame.
+        valid: (N,) in front of both cameras, with sufficient parallax and small reprojection error.
+        angle: (N,) between the rays in rad (parallax).
+    """
+
+    xyz: Floats
+    valid: Bools
+    angle: Floats
+
+
+def triangulate_pixels(
+    second_from_first: Floats,
+    xy_first: Floats,
+    xy_second: Floats,
+    intrinsics: Intrinsics,
+    *,
+    min_parallax_rad: float,
+    min_parallax_ratio: float,
+    max_error_px: float,
+) -> TriangulatedPoints:
+    """Triangulate matched pixels and check the points.
+
+    Args:
+        second_from_first: (4, 4).
+        xy_first: (N, 2) undistorted pixels.
+        xy_second: (N, 2) the same in the second view.
+        intrinsics: of both views.
+        min_parallax_rad: minimum angle between the rays.
+        min_parallax_ratio: the same relative to the angle by which a point has moved in the image.
+        max_error_px: exclusive maximum of the reprojection error in either view.
+    """
+    fx, fy, cx, cy = intrinsics
+    focal, centre = np.array([fx, fy]), np.array([cx, cy])
+    xyz, angle = triangulate(
+        second_from_first, (xy_first - centre) / focal, (xy_second - centre) / focal
+    )
+    valid = _valid(
+        np.ascontiguousarray(second_from_first),
+        xyz,
+        angle,
+        np.ascontiguousarray(xy_first),
+        np.ascontiguousarray(xy_second),
+        intrinsics,
+        min_parallax_rad,
+        min_parallax_ratio,
+        max_error_px,
+    )
+    return TriangulatedPoints(xyz, valid, angle)
+
+
+@compiled
+def _valid(motion, points, angle, first, second, intrinsics, min_rad, min_ratio, max_px):  # type: ignore[no-untyped-def]
+    valid = np.zeros(len(points), dtype=np.bool_)
+    for n in range(len(points)):
+        x, y, z = points[n]
+        moved_rad = np.hypot(
+            (second[n, 0] - first[n, 0]) / intrinsics.fx,
+            (second[n, 1] - first[n, 1]) / intrinsics.fy,
+        )
+        if not (0.0 < z < np.inf and angle[n] >= max(min_rad, min_ratio * moved_rad)):
+            continue
+        u, v = project(intrinsics, x, y, z)
+        if np.hypot(u - first[n, 0], v - first[n, 1]) >= max_px:
+            continue
+        x, y, z = to_camera(motion, x, y, z)
+        if z > 0.0:
+            u, v = project(intrinsics, x, y, z)
+            valid[n] = np.hypot(u - second[n, 0], v - second[n, 1]) < max_px
+    return valid

@@ -1,0 +1,392 @@
+"""The chain of keyframes of a run with their inertial states, estimated as it grows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Floats, ImuNoise
+from vo.engine.geometry import so3
+from vo.engine.inertial.estimation import Estimate, KnownBiases, Prior, estimate_states, first_prior
+from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate, upright
+from vo.engine.inertial.preintegration import Interval, Preintegrated, preintegrate
+from vo.engine.inertial.samples import SampleReader
+from vo.engine.inertial.states import GRAVITY_M_S2, LOG_SCALE, States, Steps, joined
+
+_WINDOW_LAST_STEP = 3.0  # standard deviations
+_WINDOW = 12  # newest keyframes whose states are estimated together
+_MAX_FIRST = 40  # newest keyframes that first states are searched with
+_RETRY_NS = 1_000_000_000  # after the motion did not determine the first states
+_MAX_BRIDGE_S = 3.0  # between segments without images
+_MAX_BIAS_RAD_S = 0.003  # from which preintegration is repeated
+_MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
+_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A keyframe.
+
+    Attributes:
+        keyframe: its id.
+        frame_index: number of its frame.
+        stamp_ns: its time.
+        segment: number of its segment.
+        world_from_cam: (4, 4) in the frame and the units of the segment.
+        covariance: (6, 6) of the motion from the keyframe before it, as in `Steps`; None to keep
+            that of an earlier call, or for the first one of a segment.
+    """
+
+    keyframe: int
+    frame_index: int
+    stamp_ns: int
+    segment: int
+    world_from_cam: Floats
+    covariance: Floats | None
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Keyframes with their states.
+
+    Attributes:
+        nodes: n keyframes.
+        estimate: of their states.
+        world: number of the first segment of the world.
+        origin: id of the first keyframe of the world; another one is another frame.
+    """
+
+    nodes: tuple[Node, ...]
+    estimate: Estimate
+    world: int
+    origin: int
+
+
+class InertialChain:
+    """Keyframes in time order, and the newest estimate of their states.
+
+    Attributes:
+        reason: why there is no estimate, None where there is one.
+        initialised_frame: number of the frame at which first states were found, None before.
+
+    Args:
+        reader: gives the samples.
+        noise: of the sensor.
+        imu_from_cam: (4, 4).
+        is_metric: whether the unit of the visual map is the metre.
+    """
+
+    def __init__(
+        self, reader: SampleReader, noise: ImuNoise, imu_from_cam: Floats, *, is_metric: bool
+    ) -> None:
+        self.reason: NotYet | None = NotYet.FEW_KEYFRAMES
+        self.initialised_frame: int | None = None
+        self._reader, self._noise = reader, noise
+        self._imu_from_cam, self._is_metric = imu_from_cam, is_metric
+        self._nodes: list[Node] = []
+        self._intervals: list[Interval | None] = []  # before each node
+        self._measured: list[Preintegrated | None] = []
+        self._tried_ns: int | None = None  # time of the newest node when states were searched
+        self._origin = 0  # row of the first node of the world
+        self._begin = 0  # row of the first node of the estimate
+        self._estimate: Estimate | None = None
+        self._prior: Prior | None = None  # of the first node of the estimate
+        self._biases: KnownBiases | None = None  # at the end of the world before
+
+    @property
+    def is_initialised(self) -> bool:
+        """Whether there is an estimate."""
+        return self._estimate is not None
+
+    @property
+    def nodes(self) -> Sequence[Node]:
+        """All keyframes."""
+        return self._nodes
+
+    @property
+    def newest(self) -> Placed | None:
+        """The newest keyframes with their states."""
+        if self._estimate is None:
+            return None
+        return self._placed(self._begin, self._estimate)
+
+    def set(self, node: Node) -> None:
+        """Add a keyframe, or replace one by its newest pose."""
+        for row in range(len(self._nodes) - 1, -1, -1):
+            if self._nodes[row].keyframe == node.keyframe:
+                kept = self._nodes[row].covariance if node.covariance is None else node.covariance
+                self._nodes[row] = replace(node, covariance=kept)
+                return
+            if self._nodes[row].keyframe < node.keyframe:
+                break
+        interval = None
+        if self._nodes:
+            interval = self._reader.between(self._nodes[-1].stamp_ns, node.stamp_ns)
+        self._nodes.append(node)
+        self._intervals.append(interval)
+        self._measured.append(None)
+
+    def remove_from(self, frame_index: int) -> None:
+        """Forget a frame and all after it, which are tracked anew; states are found anew, too."""
+        kept = sum(node.frame_index < frame_index for node in self._nodes)
+        del self._nodes[kept:], self._intervals[kept:], self._measured[kept:]
+        self._estimate = self._prior = self._tried_ns = self._biases = None
+        self._origin = self._begin = 0
+
+    def restart(self) -> None:
+        """Search first states anew, with the samples by the newest time offset."""
+        self.read_again()
+        self._estimate = self._prior = self.initialised_frame = self._biases = None
+        self._origin = self._begin = 0
+
+    def read_again(self) -> None:
+        """Take all samples by the newest time offset; what follows has to be `finish`."""
+        stamps_ns = [node.stamp_ns for node in self._nodes]
+        for row in range(1, len(stamps_ns)):
+            self._intervals[row] = self._reader.between(stamps_ns[row - 1], stamps_ns[row])
+        self._measured = [None] * len(stamps_ns)
+        self._tried_ns = None
+
+    def update(self) -> Placed | None:
+        """Estimate the states of the newest keyframes; None while that is impossible."""
+        if self._estimate is not None:
+            self._extend(self._estimate)
+        if self._estimate is None:
+            return self._initialise() if self._is_search_due() else None
+        return self.newest
+
+    def _is_search_due(self) -> bool:
+        """Whether to search first states: at times only, where more motion is needed."""
+        if self.reason not in (NotYet.NO_MOTION, NotYet.NO_GRAVITY) or self._tried_ns is None:
+            return True
+        return self._nodes[-1].stamp_ns >= self._tried_ns + _RETRY_NS
+
+    def finish(self) -> Placed | None:
+        """Estimate all states of the newest world together, and keep the result."""
+        placed = self.smoothed()
+        if placed is not None:
+            self._begin, self._estimate = self._origin, placed.estimate
+        return placed
+
+    def smoothed(self) -> Placed | None:
+        """All states of the newest world, estimated together; None without an estimate.
+
+        Its first camera is the origin, so the frame may differ from that of `newest`.
+        """
+        if self._estimate is None:
+            return None
+        biases = self._estimate.states
+        count = self._begin + biases.number
+        for row in range(self._origin + 1, count):
+            self._preintegrate(row, biases.gyro_bias[-1], biases.accel_bias[-1])
+        states = placed_at_origin(self._whole_history(count), self._imu_from_cam)
+        prior = self._first_prior(states)
+        estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
+        return self._placed(self._origin, estimate)
+
+    def _initialise(self) -> Placed | None:
+        """Search first states with the newest keyframes of one segment."""
+        begin, count = self._unbroken_begin(), len(self._nodes)
+        intervals = [i for i in self._intervals[begin + 1 :] if i is not None]
+        if len(intervals) < 3:
+            self.reason = NotYet.FEW_KEYFRAMES
+            return None
+        nodes = self._nodes[begin:]
+        self._tried_ns = nodes[-1].stamp_ns
+        keyframes = Keyframes(
+            np.stack([n.world_from_cam for n in nodes]),
+            _covariances(nodes[1:]),
+            tuple(intervals),
+            self._is_metric,
+            self._imu_from_cam,
+            self._noise,
+            self._biases_at(begin),
+        )
+        found = initial_estimate(keyframes)
+        if isinstance(found, NotYet):
+            self.reason = found
+            return None
+        self.reason = None
+        if self.initialised_frame is None:
+            self.initialised_frame = nodes[-1].frame_index
+        self._origin = self._begin = begin
+        self._estimate = found
+        self._prior = self._first_prior(found.states)
+        for row in range(begin + 1, count):
+            self._preintegrate(row, found.states.gyro_bias[-1], found.states.accel_bias[-1])
+        return self.newest
+
+    def _biases_at(self, row: int) -> KnownBiases | None:
+        """What the world before says of the biases at a keyframe."""
+        if self._biases is None:
+            return None
+        return self._biases.at(self._nodes[row].stamp_ns, self._noise)
+
+    def _first_prior(self, states: States) -> Prior:
+        """What is known of the first of the states of the world."""
+        first, biases = states.rows(slice(0, 1)), self._biases_at(self._origin)
+        return first_prior(first, is_metric=self._is_metric, biases=biases)
+
+    def _unbroken_begin(self) -> int:
+        """Row of the first of the newest keyframes of one segment without missing samples."""
+        begin = len(self._nodes) - 1
+        oldest = max(0, len(self._nodes) - _MAX_FIRST)
+        while begin > oldest and self._is_visual(begin) and self._intervals[begin] is not None:
+            begin -= 1
+        return max(begin, 0)
+
+    def _is_visual(self, row: int) -> bool:
+        """Whether a keyframe and the one before it are of one segment."""
+        return self._nodes[row].segment == self._nodes[row - 1].segment
+
+    def _extend(self, estimate: Estimate) -> None:
+        """Add the new keyframes to the estimate, and drop the oldest ones from it."""
+        count = self._begin + estimate.states.number
+        while self._estimate is not None and count < len(self._nodes):
+            states = self._predicted(count, self._estimate.states)
+            if states is None:  # neither images nor samples lead here: a new world begins
+                self._biases = estimate.last_biases(
+                    self._nodes[self._begin + estimate.states.number - 1].stamp_ns
+                )
+                self._estimate = self._prior = None
+                self.reason = NotYet.FEW_KEYFRAMES
+                return
+            count += 1
+            self._estimate = replace(self._estimate, states=states)
+        assert self._estimate is not None
+        states = self._estimate.states
+        begin = max(self._begin, count - _WINDOW)
+        if begin > self._begin:
+            self._prior = estimate.prior_of(begin - self._begin)
+            states = states.rows(slice(begin - self._begin, None))
+            self._begin = begin
+        assert self._prior is not None
+        steps = self._steps(begin, count)
+        try:
+            # Every keyframe brings another iteration with all states of the window.
+            self._estimate = estimate_states(
+                states, steps, self._prior, self._noise, last_step=_WINDOW_LAST_STEP
+            )
+        except np.linalg.LinAlgError:
+            self._estimate = self._prior = None
+            self.reason = NotYet.DISAGREEMENT
+
+    def _predicted(self, row: int, states: States) -> States | None:
+        """States with one more, at a keyframe after the last; None without measurements of it."""
+        last = states.rows(slice(-1, None))
+        measured = self._preintegrate(row, last.gyro_bias[0], last.accel_bias[0])
+        if self._is_visual(row):
+            world_from_cam = np.eye(4)
+            world_from_cam[:3, :3] = last.rotation[0] @ self._imu_from_cam[:3, :3]
+            before, after = self._nodes[row - 1], self._nodes[row]
+            motion = inverse(before.world_from_cam) @ after.world_from_cam
+            motion[:3, 3] *= np.exp(last.log_scale[0])
+            lever = self._imu_from_cam[:3, 3]
+            world_from_cam[:3, 3] = last.position[0] + last.rotation[0] @ lever
+            pose = world_from_cam @ motion @ inverse(self._imu_from_cam)
+            rotation, position = pose[:3, :3], pose[:3, 3]
+            velocity = last.velocity[0]
+            if measured is not None:
+                velocity = velocity + _GRAVITY * measured.duration_s
+                velocity = velocity + last.rotation[0] @ measured.velocity
+        elif measured is None or measured.duration_s > _MAX_BRIDGE_S:
+            return None
+        else:
+            rotation, position, velocity = predicted_motion(last, measured)
+        added = last._replace(
+            rotation=rotation[None], position=position[None], velocity=velocity[None]
+        )
+        return joined(states, added)
+
+    def _whole_history(self, count: int) -> States:
+        """Starting states of all keyframes of the world: older ones follow from the newest back."""
+        assert self._estimate is not None
+        states = self._estimate.states
+        for row in range(self._begin - 1, self._origin - 1, -1):
+            first = states.rows(slice(0, 1))
+            motion = inverse(self._nodes[row + 1].world_from_cam) @ self._nodes[row].world_from_cam
+            motion[:3, 3] *= np.exp(first.log_scale[0])
+            imu_motion = self._imu_from_cam @ motion @ inverse(self._imu_from_cam)
+            rotation = first.rotation[0] @ imu_motion[:3, :3]
+            position = first.position[0] + first.rotation[0] @ imu_motion[:3, 3]
+            duration = 1e-9 * (self._nodes[row + 1].stamp_ns - self._nodes[row].stamp_ns)
+            velocity = (first.position[0] - position) / duration
+            before = first._replace(
+                rotation=rotation[None], position=position[None], velocity=velocity[None]
+            )
+            states = joined(before, states)
+        return states
+
+    def _preintegrate(
+        self, row: int, gyro_bias: Floats, accel_bias: Floats
+    ) -> Preintegrated | None:
+        """Preintegrate the samples before a keyframe, unless that was done at these biases."""
+        interval, measured = self._intervals[row], self._measured[row]
+        if interval is None:
+            return None
+        if measured is None or np.abs(measured.gyro_bias - gyro_bias).max() > _MAX_BIAS_RAD_S:
+            measured = preintegrate(interval, gyro_bias, accel_bias, self._noise)
+            self._measured[row] = measured
+        return measured
+
+    def _steps(self, begin: int, end: int) -> Steps:
+        """Measurements between the keyframes of some rows."""
+        nodes = self._nodes[begin:end]
+        poses = np.stack([n.world_from_cam for n in nodes])
+        return Steps(
+            1e-9 * np.diff([n.stamp_ns for n in nodes]),
+            tuple(self._measured[begin + 1 : end]),
+            inverse(poses[:-1]) @ poses[1:],
+            _covariances(nodes[1:]),
+            np.array([self._is_visual(row) for row in range(begin + 1, end)], dtype=bool),
+            self._is_metric,
+            self._imu_from_cam,
+        )
+
+    def _placed(self, begin: int, estimate: Estimate) -> Placed:
+        nodes = tuple(self._nodes[begin : begin + estimate.states.number])
+        origin = self._nodes[self._origin]
+        return Placed(nodes, estimate, origin.segment, origin.keyframe)
+
+
+def _covariances(nodes: list[Node]) -> Floats:
+    """(n, 6, 6); 0 where there is none."""
+    none = np.zeros((6, 6))
+    return np.stack([none if n.covariance is None else n.covariance for n in nodes])
+
+
+def certain(placed: Placed) -> list[int]:
+    """Rows of the keyframes whose scale is certain enough."""
+    sigma = np.sqrt(np.maximum(placed.estimate.covariance[:, LOG_SCALE, LOG_SCALE], 0.0))
+    return np.flatnonzero(sigma < _MAX_SIGMA_LOG_SCALE).tolist()
+
+
+def placed_at_origin(states: States, imu_from_cam: Floats) -> States:
+    """The same states, turned about the vertical and moved: the first camera is the origin."""
+    camera = states.position[0] + states.rotation[0] @ imu_from_cam[:3, 3]
+    turn = upright(states.rotation[0] @ imu_from_cam[:3, :3], _GRAVITY)
+    return states._replace(
+        rotation=turn @ states.rotation,
+        position=(states.position - camera) @ turn.T,
+        velocity=states.velocity @ turn.T,
+    )
+
+
+def predicted_motion(last: States, measured: Preintegrated) -> tuple[Floats, Floats, Floats]:
+    """Rotation, position and velocity at the end of an interval that begins at a state (1)."""
+    bias = np.concatenate(
+        [
+            last.gyro_bias[0] - measured.gyro_bias,
+            last.accel_bias[0] - measured.accel_bias,
+        ]
+    )
+    change = measured.jacobian @ bias
+    duration, first = measured.duration_s, last.rotation[0]
+    rotation = first @ measured.rotation @ so3.exp(change[:3])
+    velocity = last.velocity[0] + _GRAVITY * duration + first @ (measured.velocity + change[3:6])
+    position = last.position[0] + last.velocity[0] * duration + 0.5 * _GRAVITY * duration**2
+    position = position + first @ (measured.position + change[6:])
+    return rotation, position, velocity

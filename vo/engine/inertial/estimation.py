@@ -1,0 +1,281 @@
+"""Maximum-a-posteriori states at keyframes, by Gauss-Newton on the chain of their measurements.
+
+Source: Campos, Montiel and Tardós, "Inertial-only optimization for visual-inertial
+initialization", 2020; here the visual motions have their covariance instead of being exact, and the
+scale may drift from keyframe to keyframe.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.types import Floats, ImuNoise, Ints
+from vo.engine.inertial.chain_solver import Equations, empty_equations, solve_chain
+from vo.engine.inertial.factor_kernels import add_changes, add_factors
+from vo.engine.inertial.factors import as_arrays, inertial_residuals, visual_residuals
+from vo.engine.inertial.scale_drift import without_scale
+from vo.engine.inertial.states import (
+    ACCEL_BIAS,
+    GYRO_BIAS,
+    LOG_SCALE,
+    POSITION,
+    ROTATION,
+    VELOCITY,
+    WIDTH,
+    States,
+    Steps,
+)
+
+# Standard deviations before anything is known.
+_GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2 = 0.1, 0.3
+_VELOCITY_M_S, _LOG_SCALE = 100.0, 10.0
+_FIXED_M, _FIXED_RAD = 1e-5, 1e-5
+_FIXED_LOG_SCALE = 1e-5
+# Errors of the visual odometry beside the windows' covariances: of each step, and of a length.
+_STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.001, 1e-4, 0.0015
+_HUBER = 3.0  # normalised residual from which a visual motion counts less
+_MAX_ITERATIONS = 12
+_CONVERGED = 0.01  # largest step, in standard deviations
+_MAX_TURN_RAD = 0.5  # in one iteration
+_MIN_WALK = 1e-6  # rad/s and m/s², standard deviation of a bias's step
+
+
+class Prior(NamedTuple):
+    """Quadratic cost of the first state, by what was measured before it.
+
+    Attributes:
+        at: the state (1) that it is about.
+        information: (WIDTH, WIDTH).
+        gradient: (WIDTH,) at that state.
+    """
+
+    at: States
+    information: Floats
+    gradient: Floats
+
+
+class KnownBiases(NamedTuple):
+    """Biases of a sensor at some time, by what was measured before.
+
+    Attributes:
+        stamp_ns: the time.
+        gyro: (3,) rad/s.
+        accel: (3,) m/s².
+        covariance: (6, 6) of both.
+    """
+
+    stamp_ns: int
+    gyro: Floats
+    accel: Floats
+    covariance: Floats
+
+    def at(self, stamp_ns: int, noise: ImuNoise) -> KnownBiases:
+        """The same at a later time: biases walk."""
+        walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
+        grown = np.diag(1e-9 * (stamp_ns - self.stamp_ns) * walk**2)
+        return self._replace(stamp_ns=stamp_ns, covariance=self.covariance + grown)
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """States, and what is known of their errors.
+
+    Attributes:
+        states: n of them.
+        covariance: (n, WIDTH, WIDTH).
+        misfit: root mean square of the normalised inertial and visual residuals.
+        has_converged: whether the iterations ended by themselves.
+        reduced: (n, WIDTH, WIDTH) information on each state by what was measured before it.
+        reduced_gradient: (n, WIDTH) the same of the gradient, at the states.
+    """
+
+    states: States
+    covariance: Floats
+    misfit: float
+    has_converged: bool
+    reduced: Floats
+    reduced_gradient: Floats
+
+    def prior_of(self, row: int) -> Prior:
+        """What the states before one say about it, for a chain that begins there."""
+        return Prior(
+            self.states.rows(slice(row, row + 1)), self.reduced[row], self.reduced_gradient[row]
+        )
+
+    def last_biases(self, stamp_ns: int) -> KnownBiases:
+        """Biases of the last state, whose time is given."""
+        both = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)
+        covariance = self.covariance[-1][both, both]
+        return KnownBiases(
+            stamp_ns, self.states.gyro_bias[-1], self.states.accel_bias[-1], covariance
+        )
+
+
+def first_prior(state: States, *, is_metric: bool, biases: KnownBiases | None = None) -> Prior:
+    """What is known of the first state (1) of a world: its place and heading are chosen.
+
+    Args:
+        state: at which that is a quadratic cost.
+        is_metric: whether the unit of the map is the metre.
+        biases: at its time, None if nothing is known of them.
+    """
+    sigma = np.empty(WIDTH)
+    sigma[ROTATION], sigma[POSITION], sigma[VELOCITY] = np.pi, _FIXED_M, _VELOCITY_M_S
+    sigma[GYRO_BIAS], sigma[ACCEL_BIAS] = _GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2
+    sigma[LOG_SCALE] = _FIXED_LOG_SCALE if is_metric else _LOG_SCALE
+    information = np.diag(sigma**-2.0)
+    up = state.rotation[0].T[:, 2]  # the world's z axis in the sensor's frame
+    information[ROTATION, ROTATION] += np.outer(up, up) / _FIXED_RAD**2
+    about = state._replace(
+        gyro_bias=np.zeros((1, 3)),
+        accel_bias=np.zeros((1, 3)),
+        log_scale=np.zeros(1) if is_metric else state.log_scale,
+    )
+    if biases is not None:
+        both = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)
+        information[both, both] = np.linalg.inv(biases.covariance)
+        about = about._replace(gyro_bias=biases.gyro[None], accel_bias=biases.accel[None])
+    return Prior(about, information, np.zeros(WIDTH))
+
+
+def estimate_states(
+    states: States,
+    steps: Steps,
+    prior: Prior,
+    noise: ImuNoise,
+    last: Prior | None = None,
+    *,
+    last_step: float = _CONVERGED,
+) -> Estimate:
+    """Iterate to the most probable states.
+
+    Args:
+        states: n, to begin with.
+        steps: the n - 1 measurements between them.
+        prior: of the first.
+        noise: of the sensor.
+        last: the same of the last.
+        last_step: in standard deviations: no iteration follows one whose steps are all smaller.
+
+    Raises:
+        numpy.linalg.LinAlgError: the measurements do not determine the states.
+    """
+    problem = _Problem(steps, prior, noise, last)
+    for _ in range(_MAX_ITERATIONS):
+        solution = solve_chain(problem.normal_equations(states))
+        turn = float(np.abs(solution.step[:, ROTATION]).max())
+        step = solution.step * min(1.0, _MAX_TURN_RAD / max(turn, 1e-12))
+        states = states.moved(step)
+        variance = np.diagonal(solution.covariance, axis1=1, axis2=2)
+        largest = float((solution.step**2 / np.maximum(variance, 1e-24)).max())
+        if largest < last_step**2:
+            break
+    # Covariances are those before the last step, and gradients follow it linearly.
+    gradient = solution.reduced_gradient + (solution.reduced @ step[:, :, None])[..., 0]
+    return Estimate(
+        states,
+        solution.covariance,
+        problem.misfit,
+        largest < last_step**2,
+        solution.reduced,
+        gradient,
+    )
+
+
+class _Problem:
+    """Normal equations of a chain.
+
+    Attributes:
+        misfit: root mean square of all normalised residuals at the newest states, 0 without any.
+    """
+
+    def __init__(
+        self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
+    ) -> None:
+        self.misfit = 0.0
+        self._steps, self._priors = steps, [(0, prior)]
+        if last is not None:
+            self._priors.append((len(steps.inertial), last))
+        known = [k for k, m in enumerate(steps.inertial) if m is not None]
+        self._known = np.array(known, np.int64)
+        self._missing = np.flatnonzero([m is None for m in steps.inertial])
+        measured = [m for m in steps.inertial if m is not None]
+        self._seen = np.flatnonzero(steps.is_visual)
+        self._visual_motions = steps.visual[self._seen]
+        if measured:
+            self._motions = as_arrays(measured)
+            self._inertial_information = np.array([m.information for m in measured])
+        walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
+        self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
+        covariance, drift = steps.covariance, np.zeros(len(steps.covariance))
+        if not steps.is_metric:
+            covariance, drift = without_scale(steps)
+        covariance = _visual_covariance(steps, covariance)[self._seen]
+        self._visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
+        self._sigma_scale = np.sqrt(_STEP_LOG_SCALE**2 + drift)
+
+    def normal_equations(self, states: States) -> Equations:
+        """Normal equations of a step from these states."""
+        equations = empty_equations(states.number, WIDTH)
+        for row, prior in self._priors:
+            off = states.rows(slice(row, row + 1)).since(prior.at)[0]
+            equations.before[row] += prior.information
+            equations.gradient_before[row] += prior.gradient + prior.information @ off
+        total, count = 0.0, 0
+        if len(self._known):
+            inertial = inertial_residuals(*_ends(states, self._known), self._motions)
+            information = self._inertial_information
+            total += add_factors(self._known, *inertial, information, np.inf, equations)
+            count += inertial.residual.size
+        self._add_walks(equations, states)
+        if len(self._seen):
+            visual = visual_residuals(
+                *_ends(states, self._seen), self._visual_motions, self._steps.imu_from_cam
+            )
+            information = self._visual_information
+            total += add_factors(self._seen, *visual, information, _HUBER, equations)
+            count += visual.residual.size
+        self._add_scale(equations, states)
+        self.misfit = float(np.sqrt(total / count)) if count else 0.0
+        return equations
+
+    def _add_walks(self, equations: Equations, states: States) -> None:
+        """Biases walk; where samples are missing, the velocity may have any value."""
+        change = np.diff(np.concatenate([states.gyro_bias, states.accel_bias], axis=1), axis=0)
+        rows = np.arange(len(change))
+        add_changes(rows, GYRO_BIAS.start, self._walk**-2.0, change, equations)
+        if len(self._missing):
+            change = np.diff(states.velocity, axis=0)[self._missing]
+            weight = np.full_like(change, _VELOCITY_M_S**-2.0)
+            add_changes(self._missing, VELOCITY.start, weight, change, equations)
+
+    def _add_scale(self, equations: Equations, states: States) -> None:
+        """The scale drifts slowly within a segment; another segment has a scale of its own."""
+        change = np.diff(states.log_scale)
+        sigma = self._sigma_scale.copy()
+        sigma[~self._steps.is_visual] = _LOG_SCALE
+        if self._steps.is_metric:
+            sigma[:] = _FIXED_LOG_SCALE
+        weight = sigma[:, None] ** -2.0
+        add_changes(np.arange(len(change)), LOG_SCALE, weight, change[:, None], equations)
+
+
+def _ends(states: States, rows: Ints) -> tuple[States, States]:
+    """The states of some rows, and those after them."""
+    if len(rows) == states.number - 1:
+        return states.rows(slice(0, -1)), states.rows(slice(1, None))
+    return States(*(f[rows] for f in states)), States(*(f[rows + 1] for f in states))
+
+
+def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:
+    """Covariances with the drift that the windows do not contain."""
+    covariance = covariance.copy()
+    length = np.linalg.norm(steps.visual[:, :3, 3], axis=1)
+    shortest = 1e-6 * max(float(length.max(initial=0.0)), 1e-6)
+    for axis in range(3):
+        covariance[:, axis, axis] += _STEP_RAD**2
+        covariance[:, axis + 3, axis + 3] += (_STEP_RATIO * length) ** 2 + shortest**2
+    return covariance

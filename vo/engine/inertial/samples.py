@@ -1,0 +1,176 @@
+"""The samples of an inertial sensor between the times of frames."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from vo.base.types import Floats, ImuNoise, Ints
+from vo.engine.inertial.preintegration import Interval
+
+_MAX_GAP_S = 0.1  # between samples; a longer one is not bridged by interpolation
+_BLOCK_NS = 10_000_000_000  # of samples that are read at a time
+_MARGIN_NS = 200_000_000
+
+
+class Samples(Protocol):
+    """Samples in the frame of the sensor: (n,) ns, (n, 3) rad/s, (n, 3) m/s²."""
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """Increasing."""
+        ...
+
+    @property
+    def gyro(self) -> Floats:
+        """Angular rates."""
+        ...
+
+    @property
+    def accel(self) -> Floats:
+        """Specific forces."""
+        ...
+
+
+class InertialSensor(Protocol):
+    """An inertial sensor that is rigidly fixed to the cameras."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        ...
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """(N,) times of all samples, increasing."""
+        ...
+
+    @property
+    def cam0_from_imu(self) -> Floats | None:
+        """(4, 4), None if it is unknown."""
+        ...
+
+    @property
+    def noise(self) -> ImuNoise | None:
+        """None if it is unknown."""
+        ...
+
+    @property
+    def time_offset_s(self) -> float:
+        """What to add to the stamp of an image to get the same moment on the sensor's clock."""
+        ...
+
+    def read(self, first_ns: int | None = None, last_ns: int | None = None) -> Samples:
+        """Samples of a range of times, both ends included."""
+        ...
+
+
+class RetimedSensor:
+    """An inertial sensor whose time offset is replaced when it was measured.
+
+    All readers of its samples follow.
+
+    Attributes:
+        time_offset_s: the newest one, at first that of the sensor.
+
+    Args:
+        sensor: gives everything else.
+    """
+
+    def __init__(self, sensor: InertialSensor) -> None:
+        self._sensor = sensor
+        self.time_offset_s = sensor.time_offset_s
+
+    @property
+    def given_offset_s(self) -> float:
+        """That of the sensor."""
+        return self._sensor.time_offset_s
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+        return self._sensor.name
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """(N,) times of all samples, increasing."""
+        return self._sensor.stamps_ns
+
+    @property
+    def cam0_from_imu(self) -> Floats | None:
+        """(4, 4), None if it is unknown."""
+        return self._sensor.cam0_from_imu
+
+    @property
+    def noise(self) -> ImuNoise | None:
+        """None if it is unknown."""
+        return self._sensor.noise
+
+    def read(self, first_ns: int | None = None, last_ns: int | None = None) -> Samples:
+        """Samples of a range of times, both ends included."""
+        return self._sensor.read(first_ns, last_ns)
+
+
+class SampleReader:
+    """Hands out the samples between two times, interpolated at both; times mostly increase.
+
+    Args:
+        sensor: is read in blocks.
+    """
+
+    def __init__(self, sensor: InertialSensor) -> None:
+        self._sensor = sensor
+        self._begin = self._end = 0
+        self._ends = (0, 0)
+        self._interval: Interval | None = None  # between these
+        self._block: _Block | None = None
+
+    def between(self, first_ns: int, last_ns: int) -> Interval | None:
+        """Samples from the time of an image to a later one; None where samples are missing."""
+        if last_ns <= first_ns:
+            return None
+        offset_ns = round(1e9 * self._sensor.time_offset_s)
+        ends = first_ns + offset_ns, last_ns + offset_ns
+        if self._ends != ends:  # predictions and what is learned of them ask for the same
+            self._ends, self._interval = ends, self._read(*ends)
+        return self._interval
+
+    def _read(self, first_ns: int, last_ns: int) -> Interval | None:
+        block = self._block_of(first_ns, last_ns)
+        stamps = block.stamps_ns
+        begin = int(stamps.searchsorted(first_ns, side="right")) - 1
+        end = int(stamps.searchsorted(last_ns, side="left"))
+        if begin < 0 or end >= len(stamps):
+            return None
+        around, values = stamps[begin : end + 1], block.values[begin : end + 1]
+        if int((around[1:] - around[:-1]).max()) > _MAX_GAP_S * 1e9:
+            return None
+        rows = values.copy()
+        rows[0] = _interpolated(around[:2], values[:2], first_ns)
+        rows[-1] = _interpolated(around[-2:], values[-2:], last_ns)
+        seconds: Floats = 1e-9 * (around - first_ns).astype(np.float64)
+        seconds[0], seconds[-1] = 0.0, 1e-9 * (last_ns - first_ns)
+        return Interval(seconds, rows[:, :3], rows[:, 3:])
+
+    def _block_of(self, first_ns: int, last_ns: int) -> _Block:
+        if self._block is None or first_ns < self._begin or last_ns > self._end:
+            self._begin, self._end = first_ns, max(last_ns, first_ns + _BLOCK_NS)
+            read = self._sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
+            values = np.concatenate([read.gyro, read.accel], axis=1)
+            self._block = _Block(read.stamps_ns, values)
+        return self._block
+
+
+class _Block(NamedTuple):
+    """Samples that were read together: times (n,), and rates and forces (n, 6)."""
+
+    stamps_ns: Ints
+    values: Floats
+
+
+def _interpolated(stamps_ns: Ints, values: Floats, at_ns: int) -> Floats:
+    """(6,) values at a time, linear between two samples (2, 6)."""
+    begin, end = stamps_ns.tolist()
+    fraction = (at_ns - begin) / (end - begin)
+    return np.asarray(values[0] + fraction * (values[1] - values[0]))

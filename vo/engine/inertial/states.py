@@ -1,0 +1,103 @@
+"""States of an inertial sensor at the keyframes, and what was measured between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.types import Bools, Floats
+from vo.engine.geometry import so3
+from vo.engine.inertial.preintegration import Preintegrated
+
+GRAVITY_M_S2 = 9.81
+
+# Columns of the tangent of a state.
+ROTATION, POSITION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
+GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
+LOG_SCALE = 15
+WIDTH = 16
+
+
+class States(NamedTuple):
+    """States at n keyframes, in a world whose z axis points up.
+
+    Attributes:
+        rotation: (n, 3, 3) world_from_imu.
+        position: (n, 3) m.
+        velocity: (n, 3) m/s.
+        gyro_bias: (n, 3) rad/s.
+        accel_bias: (n, 3) m/s².
+        log_scale: (n,) logarithm of the metres of one unit of the visual map.
+    """
+
+    rotation: Floats
+    position: Floats
+    velocity: Floats
+    gyro_bias: Floats
+    accel_bias: Floats
+    log_scale: Floats
+
+    @property
+    def number(self) -> int:
+        """How many there are."""
+        return len(self.position)
+
+    def rows(self, rows: slice) -> States:
+        """Some of the states."""
+        return States(*(field[rows] for field in self))
+
+    def moved(self, step: Floats) -> States:
+        """States after a step (n, WIDTH); rotations are moved on their right."""
+        return States(
+            self.rotation @ so3.exp(step[:, ROTATION]),
+            self.position + step[:, POSITION],
+            self.velocity + step[:, VELOCITY],
+            self.gyro_bias + step[:, GYRO_BIAS],
+            self.accel_bias + step[:, ACCEL_BIAS],
+            self.log_scale + step[:, LOG_SCALE],
+        )
+
+    def since(self, other: States) -> Floats:
+        """The step (n, WIDTH) from other states to these."""
+        turned = so3.log(np.swapaxes(other.rotation, 1, 2) @ self.rotation)
+        return np.concatenate(
+            [
+                turned,
+                self.position - other.position,
+                self.velocity - other.velocity,
+                self.gyro_bias - other.gyro_bias,
+                self.accel_bias - other.accel_bias,
+                (self.log_scale - other.log_scale)[:, None],
+            ],
+            axis=1,
+        )
+
+
+def joined(first: States, second: States) -> States:
+    """States of one, then of the other."""
+    return States(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """Measurements between n + 1 consecutive keyframes.
+
+    Attributes:
+        duration_s: (n,) times from each to the next.
+        inertial: n motions by the inertial sensor, None where samples are missing.
+        visual: (n, 4, 4) motions of the camera in the units of the map, earlier_from_later.
+        covariance: (n, 6, 6) theirs: tangent on the right, rotation first, in map units.
+        is_visual: (n,) whether both keyframes are of one segment.
+        is_metric: whether the unit of the map is the metre.
+        imu_from_cam: (4, 4).
+    """
+
+    duration_s: Floats
+    inertial: tuple[Preintegrated | None, ...]
+    visual: Floats
+    covariance: Floats
+    is_visual: Bools
+    is_metric: bool
+    imu_from_cam: Floats

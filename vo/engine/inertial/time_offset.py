@@ -1,0 +1,129 @@
+"""Time offset between camera and inertial sensor, from the rotations of a run."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.types import Floats, Ints
+from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gyro
+from vo.engine.geometry.rotation_rows import log_rows
+from vo.engine.inertial.samples import InertialSensor, RetimedSensor
+
+MAX_CHANGE_S = 0.1
+"""Largest difference from the given offset that is searched."""
+
+_MAX_INTERVAL_S = 0.2  # between two frames
+_MAX_INTERVALS = 3000  # of a long run, every so many are left out
+_MARGIN_NS = 200_000_000
+_MAX_TURN_RAD = np.radians(10.0)  # between the fitted rotation of the sensor and the given one
+_MIN_CHANGE_S, _MIN_CHANGE_SIGMA = 0.001, 5.0
+_FIRST_FRAMES = 40  # after which the offset is measured first
+_KNOWN_SIGMA_S = 0.001
+
+
+class TimeOffset(NamedTuple):
+    """A measured offset.
+
+    Attributes:
+        seconds: what to add to the stamp of an image to get the same moment on the sensor's clock.
+        sigma_s: standard deviation.
+    """
+
+    seconds: float
+    sigma_s: float
+
+    def differs_from(self, given_s: float) -> bool:
+        """Whether it is another one than the given offset, beyond doubt."""
+        change = abs(self.seconds - given_s)
+        return change > max(_MIN_CHANGE_S, _MIN_CHANGE_SIGMA * self.sigma_s)
+
+
+class OffsetSearch:
+    """Measures the time offset of a sensor during a run, and replaces it where it is wrong.
+
+    Attributes:
+        found: the newest measurement, None without.
+
+    Args:
+        sensor: all of whose readers follow.
+    """
+
+    def __init__(self, sensor: RetimedSensor) -> None:
+        self.found: TimeOffset | None = None
+        self._sensor = sensor
+        self._due = _FIRST_FRAMES
+        self._is_over = False
+
+    def is_due(self, frames: int, *, has_states: bool) -> bool:
+        """Whether to measure now: rarely before the first states, and once when there are any.
+
+        Args:
+            frames: how many have a pose.
+            has_states: whether first states were found.
+        """
+        if self._is_over or not (has_states or frames >= self._due):
+            return False
+        self._due = 2 * frames
+        self._is_over = has_states
+        return True
+
+    def measure(self, stamps_ns: Ints, segments: Ints, rotations: Floats) -> bool:
+        """Measure as `measure_time_offset` does; whether the offset in use is another one now."""
+        self.found = measure_time_offset(stamps_ns, segments, rotations, self._sensor)
+        if self.found is None:
+            return False
+        self._is_over = self._is_over or self.found.sigma_s < _KNOWN_SIGMA_S
+        used_s, given_s = self._sensor.time_offset_s, self._sensor.given_offset_s
+        if used_s == given_s and not self.found.differs_from(given_s):
+            return False  # one that was replaced before is refined
+        self._sensor.time_offset_s = self.found.seconds
+        return True
+
+
+def measure_time_offset(
+    stamps_ns: Ints, segments: Ints, rotations: Floats, sensor: InertialSensor
+) -> TimeOffset | None:
+    """The offset with which the gyroscope repeats the rotations of the camera.
+
+    Args:
+        stamps_ns: (n,) times of frames, increasing.
+        segments: (n,) numbers of their segments.
+        rotations: (n, 3, 3) world_from_cam0 of each, by images alone.
+        sensor: with known extrinsics.
+
+    Returns:
+        None if the camera turned too little, or if the gyroscope does not fit.
+
+    Raises:
+        SourceError: the samples cannot be read.
+    """
+    assert sensor.cam0_from_imu is not None
+    steps = np.diff(stamps_ns)
+    joined = (np.diff(segments) == 0) & (steps > 0) & (steps <= _MAX_INTERVAL_S * 1e9)
+    first = np.flatnonzero(joined)
+    if len(first) == 0:
+        return None
+    first = first[:: -(-len(first) // _MAX_INTERVALS)]
+    relative = np.swapaxes(rotations[first], 1, 2) @ rotations[first + 1]
+    given_ns = round(1e9 * sensor.time_offset_s)
+    begin, end = stamps_ns[first] + given_ns, stamps_ns[first + 1] + given_ns
+    samples = sensor.read(int(begin[0]) - _MARGIN_NS, int(end[-1]) + _MARGIN_NS)
+    turned = Rotations(begin, end, log_rows(relative))
+    found = align_gyro(turned, samples.stamps_ns, samples.gyro, MAX_CHANGE_S)
+    if found is None or not _fits(found, sensor.cam0_from_imu[:3, :3]):
+        return None
+    return TimeOffset(sensor.time_offset_s + found.time_offset_s, found.time_offset_sd_s)
+
+
+def _fits(found: GyroAlignment, cam_from_imu: Floats) -> bool:
+    """Whether the gyroscope has the orientation on the camera that is known."""
+    if found.is_mirrored:
+        return False
+    if np.isfinite(found.rotation_sd_rad):
+        cosine = 0.5 * (float(np.trace(found.cam_from_imu @ cam_from_imu.T)) - 1.0)
+    else:  # about one axis only
+        axis = found.main_axis
+        cosine = float((found.cam_from_imu @ axis) @ (cam_from_imu @ axis))
+    return cosine > float(np.cos(_MAX_TURN_RAD))

@@ -1,0 +1,1 @@
+"""Metres, gravity and missing poses of a path by an inertial sensor."""

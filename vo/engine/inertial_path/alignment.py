@@ -1,0 +1,338 @@
+"""Metric, upright poses of a run with an inertial sensor.
+
+The visual odometry is left alone: keyframes and the covariances of their motions come from the
+local map, and what the inertial sensor adds is applied to the trajectory, in the map frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.geometry.transforms import adjoint, inverse
+from vo.base.records.inertial_use import InertialStates, InertialUse
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Floats
+from vo.engine.inertial.chain import InertialChain, Node, Placed, certain
+from vo.engine.inertial.initialisation import WRONG, tilt_sigma
+from vo.engine.inertial.prediction import (
+    InertialPredictor,
+    KnownMotion,
+    known_motion,
+    without_inertial,
+)
+from vo.engine.inertial.samples import RetimedSensor, SampleReader
+from vo.engine.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
+from vo.engine.inertial.time_offset import OffsetSearch
+from vo.engine.inertial_path.gaps import InertialGaps, tangent_of_cam0
+from vo.engine.inertial_path.placement import EstimatedPose, InertialPlacement
+from vo.engine.inertial_path.turns import InertialTurns
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.keyframe_motion import motion_covariances
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.places.records import InertialPose
+from vo.engine.trajectory.builder import TrajectoryBuilder
+
+
+class InertialAlignment:
+    """Estimates inertial states of the keyframes, and places those of a single camera by them.
+
+    It is called at fixed frames, so that results do not depend on the speed of anything. Metric
+    paths (stereo, depth) keep their world; only its direction of gravity and the biases are
+    estimated.
+
+    Attributes:
+        stopwatch: measures the stage `inertial`.
+        placement: where the keyframes of a single camera are by the sensor.
+
+    Args:
+        sensor: with known extrinsics; its time offset is replaced where it is wrong.
+        predictor: is told the newest states.
+        rig: the rectified cameras.
+        trajectory: follows.
+        stopwatch: measures the stages.
+    """
+
+    def __init__(
+        self,
+        sensor: RetimedSensor,
+        predictor: InertialPredictor,
+        rig: RectifiedRig,
+        trajectory: TrajectoryBuilder,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.stopwatch = stopwatch
+        self._sensor = sensor
+        self._trajectory = trajectory
+        self._is_metric = rig.is_stereo
+        assert sensor.cam0_from_imu is not None
+        self._predictor = predictor
+        self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
+        self._adjoint = adjoint(sensor.cam0_from_imu)
+        self._chain = InertialChain(
+            SampleReader(sensor),
+            predictor.noise,
+            predictor.imu_from_cam,
+            is_metric=self._is_metric,
+        )
+        self._offset = OffsetSearch(sensor)
+        self._gaps = InertialGaps(
+            trajectory, SampleReader(sensor), predictor.noise, sensor.cam0_from_imu
+        )
+        self._turns = InertialTurns(
+            trajectory,
+            predictor.turns,
+            SampleReader(sensor),
+            predictor.noise,
+            predictor.imu_from_cam,
+            self._imu_from_cam0,
+        )
+        self._newest = -1  # id of the newest keyframe whose states were estimated
+        self.placement = InertialPlacement(trajectory, rig.cam0_from_rectified)
+        # Of later segments of a metric path: the first segment of their world, and the transform
+        # from their odometry frame to its own.
+        self._joints: dict[int, tuple[int, Floats]] = {}
+
+    @property
+    def use(self) -> InertialUse:
+        """What is known by the sensor."""
+        found = self._offset.found
+        use = InertialUse(
+            self._sensor.name,
+            time_offset_s=None if found is None else found.seconds,
+            time_offset_sigma_s=None if found is None else found.sigma_s,
+            used_time_offset_s=self._sensor.time_offset_s,
+            given_time_offset_s=self._sensor.given_offset_s,
+        )
+        placed = self._chain.newest
+        if placed is None:
+            reason = self._chain.reason
+            text = None if reason is None else reason.value
+            return replace(use, reason=text, is_error=reason in WRONG)
+        return replace(
+            use,
+            first_frame=self._chain.initialised_frame,
+            metric_worlds=tuple(sorted(self.placement.metric_worlds)),
+            states=self._states(placed),
+        )
+
+    def is_metric(self, segment: int) -> bool:
+        """Whether lengths of a segment of one camera are metres now."""
+        return self._trajectory.store.world(segment) in self.placement.metric_worlds
+
+    @timed("inertial")
+    def begin_frame(self, local_map: LocalMap) -> None:
+        """Estimate the states of keyframes that were optimised since the last frame."""
+        keyframes = [k for k in local_map.keyframes if k.covariance is not None]
+        if not keyframes or keyframes[-1].id == self._newest:
+            return
+        self._newest = keyframes[-1].id
+        self._set(keyframes)
+        placed = self._chain.update()
+        frames = len(self._trajectory.store.frames)
+        is_due = self._offset.is_due(frames, has_states=placed is not None)
+        if is_due and self._measure_offset():
+            self._chain.restart()
+            placed = self._chain.update()
+        self._place(placed)
+        self._gaps.remember(placed)
+        self._predictor.known = None if placed is None else self._known(placed, keyframes)
+
+    def forget_from(self, frame_index: int) -> None:
+        """Forget all keyframes from a frame on, which are tracked anew."""
+        self._chain.remove_from(frame_index)
+        self._gaps.forget_from(frame_index)
+        self._predictor.known = None
+        self._predictor.in_windows.clear()
+        self.placement.forget_from(frame_index)
+
+    @timed("inertial")
+    def finish(self, local_map: LocalMap) -> None:
+        """Estimate all states together, after the last frame."""
+        self._set(local_map.keyframes)
+        self._chain.update()
+        if self._measure_offset():
+            self._chain.read_again()
+            if not self._chain.is_initialised:
+                self._chain.update()
+        placed = self._chain.finish()
+        if placed is not None:  # in another frame, which the pose graph does not know
+            self.placement.begin_frame_of(placed.world)
+        self._place(placed, keeps_earlier=False)
+        self._gaps.remember(placed)
+
+    @timed("inertial")
+    def fill_gaps(self) -> None:
+        """Give lost frames poses, after `finish`, and after the pose graph has placed keyframes."""
+        placed = self._chain.newest
+        if placed is not None and self._is_metric:
+            self._join(placed)
+        lost = self._gaps.bridged(None if self._is_metric else self.placement.metric_worlds)
+        self._trajectory.store.add_inertial(lost + self._turns.turned(lost))
+
+    @timed("inertial")
+    def graph_poses(self) -> Mapping[int, InertialPose]:
+        """Poses of keyframes, estimated together, for the pose graph that is optimised next.
+
+        By id of the keyframe; those of one segment are in one frame.
+        """
+        if self._is_metric:
+            return self._joined_poses()
+        placed = self._chain.smoothed()
+        if placed is None:
+            return self.placement.give(None, {}, (0.0, 0.0))
+        covariance = placed.estimate.covariance
+        sigma_scale = math.sqrt(float(covariance[:, LOG_SCALE, LOG_SCALE].min()))
+        tilt = tilt_sigma(placed.estimate.states.rotation[-1], covariance[-1])
+        estimated = self._estimated(placed)
+        return self.placement.give(placed.world, estimated, (sigma_scale, tilt))
+
+    def _set(self, keyframes: list[Keyframe]) -> None:
+        before: Keyframe | None = None
+        covariances: list[Floats | None] = [None, *motion_covariances(keyframes)]
+        for keyframe, covariance in zip(keyframes, covariances, strict=False):
+            if before is not None and covariance is not None:
+                counted = self._predictor.in_windows.get((before.id, keyframe.id))
+                # The samples are a measurement of the chain, too.
+                if counted is not None and before.id in keyframe.cross_covariance:
+                    covariance = without_inertial(covariance, counted.covariance)
+            frame, pose = keyframe.frame, keyframe.world_from_cam.copy()
+            place = keyframe.id, frame.index, frame.stamp_ns, frame.segment
+            self._chain.set(Node(*place, pose, covariance))
+            before = keyframe
+
+    def _measure_offset(self) -> bool:
+        """Measure the time offset with all frames; whether another one is used now."""
+        store = self._trajectory.store
+        tracked = store.frames["fraction"] == 0  # the others are interpolated
+        path = store.odometry({})
+        return self._offset.measure(
+            path.stamps_ns[tracked],
+            store.frames["segment"][tracked],
+            path.world_from_cam[tracked, :3, :3],
+        )
+
+    def _place(self, placed: Placed | None, *, keeps_earlier: bool = True) -> None:
+        """Place the keyframes of a single camera in the metric, upright world.
+
+        Args:
+            placed: some of them.
+            keeps_earlier: whether those before them stay, else they follow the first one.
+        """
+        if placed is None:
+            return
+        if self._is_metric:
+            self._join(placed)
+            return
+        self.placement.update(placed.world, self._estimated(placed), keeps_earlier=keeps_earlier)
+
+    def _estimated(self, placed: Placed) -> dict[int, EstimatedPose]:
+        """The keyframes whose scale is certain enough, by id."""
+        rows = certain(placed)
+        states = placed.estimate.states
+        world_from_imu = np.tile(np.eye(4), (len(rows), 1, 1))
+        world_from_imu[:, :3, :3] = states.rotation[rows]
+        world_from_imu[:, :3, 3] = states.position[rows]
+        pose, scale = world_from_imu @ self._imu_from_cam0, np.exp(states.log_scale[rows])
+        covariance = self._covariance(placed, rows)
+        result: dict[int, EstimatedPose] = {}
+        for n, row in enumerate(rows):
+            node = placed.nodes[row]
+            result[node.keyframe] = EstimatedPose(
+                node.frame_index,
+                node.segment,
+                placed.world,
+                placed.origin,
+                pose[n],
+                float(scale[n]),
+                covariance[n],
+            )
+        return result
+
+    def _join(self, placed: Placed) -> None:
+        """Place each later segment of a metric path by its motion since the one before.
+
+        The path of each segment stays that of the images.
+        """
+        states, store = placed.estimate.states, self._trajectory.store
+        for row in range(1, len(placed.nodes)):
+            before, after = placed.nodes[row - 1], placed.nodes[row]
+            if before.segment == after.segment:
+                continue
+            pose = np.tile(np.eye(4), (2, 1, 1))
+            pose[:, :3, :3] = states.rotation[row - 1 : row + 1]
+            pose[:, :3, 3] = states.position[row - 1 : row + 1]
+            cam0 = pose @ self._imu_from_cam0
+            motion = inverse(cam0[0]) @ cam0[1]
+            world, first_from_before = self._joints.get(before.segment, (before.segment, np.eye(4)))
+            rectified = self._trajectory.world_from_rectified(motion)
+            first_from_after = first_from_before @ before.world_from_cam @ rectified
+            self._joints[after.segment] = world, first_from_after @ inverse(after.world_from_cam)
+            if self.placement.is_in_graph(after.segment):
+                continue
+            (reference,) = store.keyframes_by_id([before.keyframe])
+            joined = reference.world_from_cam0 @ motion
+            store.place(
+                np.array([after.keyframe], np.int64),
+                np.array([store.world(before.segment)], np.int64),
+                joined[None],
+                np.ones(1),
+                self._covariance(placed, [row]),
+            )
+
+    def _joined_poses(self) -> Mapping[int, InertialPose]:
+        """Poses of the keyframes of segments that were joined, in the frame of their first one."""
+        worlds = {world for world, _ in self._joints.values()}
+        frames = {world: (world, np.eye(4)) for world in worlds} | self._joints
+        return {
+            node.keyframe: InertialPose(
+                frames[node.segment][0], frames[node.segment][1] @ node.world_from_cam, 1.0
+            )
+            for node in self._chain.nodes
+            if node.segment in frames
+        }
+
+    def _known(self, placed: Placed, keyframes: list[Keyframe]) -> KnownMotion | None:
+        """The motion at the newest keyframe of the local map; None while it is uncertain."""
+        node, row = placed.nodes[-1], len(placed.nodes) - 1
+        if node.keyframe != keyframes[-1].id or row not in certain(placed):
+            return None
+        states = placed.estimate.states.rows(slice(-1, None))
+        return known_motion(node.stamp_ns, states, placed.estimate.covariance[-1])
+
+    def _covariance(self, placed: Placed, rows: list[int]) -> Floats:
+        """(n, 6, 6) of cam0's poses, tangent on the right."""
+        covariance = placed.estimate.covariance[rows][:, :6, :6]
+        return tangent_of_cam0(placed.estimate.states.rotation[rows], covariance, self._adjoint)
+
+    def _states(self, placed: Placed) -> InertialStates:
+        states, covariance = placed.estimate.states, placed.estimate.covariance[-1]
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        to_path = self._path_from_upright(placed)
+        return InertialStates(
+            scale=math.exp(float(states.log_scale[-1])),
+            scale_sigma=0.0 if self._is_metric else float(sigma[LOG_SCALE]),
+            up=tuple(to_path[:, 2].tolist()),
+            tilt_sigma_deg=math.degrees(tilt_sigma(states.rotation[-1], covariance)),
+            velocity_m_s=tuple((to_path @ states.velocity[-1]).tolist()),
+            gyro_bias_rad_s=tuple(states.gyro_bias[-1].tolist()),
+            gyro_bias_sigma_rad_s=tuple(sigma[GYRO_BIAS].tolist()),
+            accel_bias_m_s2=tuple(states.accel_bias[-1].tolist()),
+            accel_bias_sigma_m_s2=tuple(sigma[ACCEL_BIAS].tolist()),
+            misfit=placed.estimate.misfit,
+        )
+
+    def _path_from_upright(self, placed: Placed) -> Floats:
+        """(3, 3) from the upright world to that of the path.
+
+        They are one for a single camera, but for what the pose graph has changed.
+        """
+        if not self._is_metric:
+            return self.placement.map_from_upright(placed.world)
+        (pose,) = self._trajectory.store.keyframes_by_id([placed.nodes[-1].keyframe])
+        path_from_imu = pose.world_from_cam0[:3, :3] @ self._imu_from_cam0[:3, :3].T
+        return np.asarray(path_from_imu @ placed.estimate.states.rotation[-1].T)

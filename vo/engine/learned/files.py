@@ -1,0 +1,126 @@
+"""Model files in the user's cache folder: where they are, and whether they are intact."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from vo.base.errors import ModelError, OutputError
+from vo.engine.learned.catalog import ANY, Model
+
+_FOLDER_VARIABLE = "VO_MODELS"
+_MAX_BYTES = 2**30
+
+
+def models_folder() -> Path:
+    """Folder of the model files: VO_MODELS, or a folder in the user's cache."""
+    given = os.environ.get(_FOLDER_VARIABLE)
+    if given:
+        return Path(given)
+    cache = os.environ.get("XDG_CACHE_HOME")
+    base = Path(cache) if cache and os.path.isabs(cache) else Path.home() / ".cache"
+    return base / "vo" / "models"
+
+
+def path_of(model: Model) -> Path:
+    """Where the ONNX file of a model is, or will be."""
+    return models_folder() / f"{model.name}.onnx"
+
+
+def require_model(model: Model) -> Path:
+    """The ONNX file of a model.
+
+    Raises:
+        ModelError: it has not been fetched yet.
+    """
+    path = path_of(model)
+    if not path.is_file():
+        own = "" if model.is_free else " --from FILE --accept-licence"
+        raise ModelError(
+            f"model '{model.name}' is not in {path.parent}: vo models fetch {model.name}{own}"
+        )
+    return path
+
+
+def verify(model: Model) -> Path:
+    """The ONNX file of a model, if it is as it was made.
+
+    Raises:
+        ModelError: it is missing, or was changed or made from other weights.
+    """
+    path = require_model(model)
+    record = _record_of(path)
+    again = f"; make it again: vo models fetch {model.name}"
+    if model.weights_sha256 not in (record.get("weights_sha256"), ANY):
+        raise ModelError(f"{path} was made from other weights than this version knows{again}")
+    if record.get("sha256") != sha256_of(path.read_bytes()):
+        raise ModelError(f"{path} is damaged or was changed: its SHA-256 differs{again}")
+    return path
+
+
+def write(model: Model, content: bytes, weights_sha256: str) -> Path:
+    """Write the ONNX file of a model, and beside it what `verify` compares it with.
+
+    Args:
+        model: the model.
+        content: of the ONNX file.
+        weights_sha256: of the weights that it was made from.
+
+    Raises:
+        OutputError: it cannot be written; nothing is left then.
+    """
+    path = path_of(model)
+    record = {
+        "model": model.name,
+        "sha256": sha256_of(content),
+        "weights_sha256": weights_sha256,
+        "weights_licence": model.weights_licence,
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _replace(path, content)
+        try:
+            _replace(_record_path(path), json.dumps(record, indent=1).encode())
+        except BaseException:
+            path.unlink(missing_ok=True)  # without its record it would count as damaged
+            raise
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    return path
+
+
+def sha256_of(content: bytes) -> str:
+    """SHA-256 in hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def _replace(path: Path, content: bytes) -> None:
+    """Write a file as a whole, or not at all."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        with suppress(OSError):
+            os.unlink(name)
+        raise
+
+
+def _record_path(path: Path) -> Path:
+    return path.with_suffix(".json")
+
+
+def _record_of(path: Path) -> dict[str, Any]:
+    try:
+        record = json.loads(_record_path(path).read_bytes()[:_MAX_BYTES])
+    except (OSError, ValueError):
+        return {}
+    return record if isinstance(record, dict) else {}

@@ -1,0 +1,205 @@
+"""Inference of ONNX models on numpy arrays, by OpenCV or ONNX Runtime."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import logging
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol
+
+import cv2
+import numpy as np
+
+from vo.base.errors import ConfigError, ModelError
+from vo.base.types import Floats32
+
+Backend = Literal["auto", "opencv", "onnxruntime"]
+Device = Literal["auto", "cpu", "cuda", "tensorrt", "coreml"]
+
+_log = logging.getLogger(__name__)
+_PROVIDERS = {
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+    "coreml": "CoreMLExecutionProvider",
+    "cpu": "CPUExecutionProvider",
+}
+# TensorRT compiles a network for minutes: only where it is asked for.
+_AUTOMATIC = ("cuda", "coreml", "cpu")
+
+
+class Network(NamedTuple):
+    """A network in use, as `summary.json` names it.
+
+    Attributes:
+        model: its name.
+        runs_in: what computes it, and where.
+        device: `cpu`, `cuda`, `tensorrt` or `coreml`.
+        sha256: of its file.
+    """
+
+    model: str
+    runs_in: str
+    device: str
+    sha256: str
+
+
+_used: ContextVar[list[Network] | None] = ContextVar("networks_used", default=None)
+
+
+class Inference(Protocol):
+    """A loaded model."""
+
+    @property
+    def description(self) -> str:
+        """What computes it, and where."""
+        ...
+
+    def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
+        """The outputs of these names; may be called from several threads.
+
+        Raises:
+            ModelError: the network cannot compute these inputs.
+        """
+        ...
+
+
+class OpenCvInference:
+    """OpenCV's dnn module, on the CPU."""
+
+    description = f"OpenCV {cv2.__version__} on the CPU"
+    device = "cpu"
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._net = cv2.dnn.readNetFromONNX(str(path))
+        except cv2.error as error:
+            raise ModelError(f"{path} cannot be loaded by OpenCV: {_reason(error)}") from error
+        self._lock = threading.Lock()
+
+    def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
+        """See `Inference.run`."""
+        with self._lock:
+            try:
+                for name, value in inputs.items():
+                    self._net.setInput(value, name)
+                return [np.asarray(each) for each in self._net.forward(list(outputs))]
+            except cv2.error as error:
+                raise ModelError(f"{self._path} fails in OpenCV: {_reason(error)}") from error
+
+
+class OnnxRuntimeInference:
+    """ONNX Runtime, on the first device that works.
+
+    Args:
+        path: the ONNX file.
+        device: where to compute.
+
+    Raises:
+        ConfigError: this device is not there, or not usable.
+        ModelError: the file cannot be loaded.
+    """
+
+    def __init__(self, path: Path, device: Device = "auto") -> None:
+        import onnxruntime
+
+        self._path = path
+        available = onnxruntime.get_available_providers()
+        wanted = _AUTOMATIC if device == "auto" else (device,)
+        providers = [_PROVIDERS[name] for name in wanted if _PROVIDERS[name] in available]
+        if not providers:
+            raise ConfigError(_no_device(device, available))
+        options = onnxruntime.SessionOptions()
+        options.log_severity_level = 3
+        try:
+            self._session = onnxruntime.InferenceSession(str(path), options, providers=providers)
+        except Exception as error:  # of several kinds, none of them exported
+            raise ModelError(
+                f"{path} cannot be loaded by ONNX Runtime: {_reason(error)}"
+            ) from error
+        # A provider whose libraries are missing is left out without an error.
+        used = self._session.get_providers()[0]
+        if device != "auto" and used != _PROVIDERS[device]:
+            raise ConfigError(
+                f"features.device is {device}, which ONNX Runtime offers but cannot use: are its "
+                "driver and libraries installed? features.device=auto takes what works"
+            )
+        provider = used.removesuffix("ExecutionProvider")
+        self.device = next((d for d, name in _PROVIDERS.items() if name == used), "cpu")
+        self.description = f"ONNX Runtime {onnxruntime.__version__} on {provider}"
+
+    def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
+        """See `Inference.run`."""
+        try:
+            results: list[Any] = self._session.run(list(outputs), dict(inputs))
+        except Exception as error:  # of several kinds, none of them exported
+            raise ModelError(f"{self._path} fails in ONNX Runtime: {_reason(error)}") from error
+        return [np.asarray(each) for each in results]
+
+
+def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Inference:
+    """Load a model.
+
+    Args:
+        path: the ONNX file.
+        backend: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
+            every other device.
+        device: where to compute.
+
+    Raises:
+        ConfigError: ONNX Runtime is asked for and not installed, or the device is not there.
+        ModelError: the file cannot be loaded.
+    """
+    on_cpu = device in ("auto", "cpu")
+    if backend == "opencv" and not on_cpu:
+        raise ConfigError(
+            f"features.device is {device}, and OpenCV computes on the CPU: "
+            "features.backend=onnxruntime"
+        )
+    inference: OpenCvInference | OnnxRuntimeInference
+    if backend == "opencv" or (backend == "auto" and on_cpu):
+        inference = OpenCvInference(path)
+    else:
+        if importlib.util.find_spec("onnxruntime") is None:
+            setting = f"backend is {backend}" if on_cpu else f"device is {device}"
+            raise ConfigError(
+                f"features.{setting}, which needs ONNX Runtime, and that is not installed: "
+                "pip install 'visual-odometry[onnxruntime]'"
+            )
+        inference = OnnxRuntimeInference(path, device)
+    _log.info("%s runs in %s", path.stem, inference.description)
+    used = _used.get()
+    if used is not None:
+        sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+        used.append(Network(path.stem, inference.description, inference.device, sha256))
+    return inference
+
+
+@contextmanager
+def networks_used() -> Iterator[list[Network]]:
+    """The networks that are loaded in this context, by whatever needs them."""
+    networks: list[Network] = []
+    token = _used.set(networks)
+    try:
+        yield networks
+    finally:
+        _used.reset(token)
+
+
+def _reason(error: Exception) -> str:
+    """The end of a backend's message, which has the cause, as one line."""
+    return " ".join(str(error).split())[-160:]
+
+
+def _no_device(device: Device, available: Sequence[str]) -> str:
+    names = [name for name, provider in _PROVIDERS.items() if provider in available]
+    package = {"cuda": "onnxruntime-gpu", "tensorrt": "onnxruntime-gpu"}.get(device)
+    hint = f"; install {package} in place of onnxruntime" if package else ""
+    return (
+        f"features.device is {device}, and this ONNX Runtime has {', '.join(names) or 'none'}{hint}"
+    )

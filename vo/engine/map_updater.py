@@ -1,0 +1,154 @@
+"""Optimisation of the local map, with its effects on calibration, trajectory and tracking."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vo.base.faults import Fault
+from vo.base.geometry.vertical_disparity_model import VerticalDisparity
+from vo.base.stopwatch import Stopwatch, timed
+from vo.engine.backend.sliding_window import SlidingWindow, WindowUpdate
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.local_mapper import LocalMapper
+from vo.engine.refinement.calibration_refiner import CalibrationRefiner, DisparityCorrection
+from vo.engine.tracking.tracker import Tracker
+from vo.engine.trajectory.builder import TrajectoryBuilder
+
+
+class MapUpdater:
+    """Submits windows after new keyframes and applies their results, beside tracking.
+
+    Attributes:
+        vertical_disparity: as estimated so far, None if it is unknown.
+        corrected: vertical disparities corrected in right images.
+        stopwatch: measures the stage `window`.
+
+    Args:
+        local_map: the map.
+        mapper: removes bad landmarks.
+        tracker: is moved with the newest keyframe.
+        window: optimises the newest keyframes.
+        refiner: estimates corrections of the calibration.
+        trajectory: stores the poses of all keyframes.
+        stopwatch: measures the stages.
+    """
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        mapper: LocalMapper,
+        tracker: Tracker,
+        window: SlidingWindow,
+        refiner: CalibrationRefiner,
+        trajectory: TrajectoryBuilder,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.vertical_disparity: VerticalDisparity | None = None
+        self.corrected = VerticalDisparity()
+        self.stopwatch = stopwatch
+        self._map = local_map
+        self._mapper = mapper
+        self._tracker = tracker
+        self._window = window
+        self._refiner = refiner
+        self._trajectory = trajectory
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Errors of the calibration that are known now and cannot be corrected."""
+        return self._refiner.faults
+
+    def follow(self, frame: PreprocessedFrame) -> None:
+        """Adapt the map to what is corrected, and uncertain, in the images of a frame."""
+        self._trajectory.reach(frame)
+        self.vertical_disparity = frame.vertical_disparity
+        if frame.corrected != self.corrected:
+            self._correct_vertical_disparity(self.corrected, frame.corrected)
+            self.corrected = frame.corrected
+        if frame.image_fixed.is_ambiguous:
+            self._refiner.suspend()
+
+    def forget_from(self, frame: PreprocessedFrame, segment: int) -> bool:
+        """Go back to the state before a frame of a segment, in order to track it anew.
+
+        Corrections of the calibration are taken back, too.
+
+        Returns:
+            False if this is impossible, since the scale of the segment would be lost.
+        """
+        is_metric = self._map.rig.is_stereo or frame.depth is not None
+        if not is_metric and self._trajectory.store.has_frame(segment, frame.index):
+            return False
+        self.apply()
+        self._refiner.restart()
+        self._map.clear_corrected()
+        pose = self._trajectory.remove_from(frame.index)
+        self._tracker.restart_at(frame.stamp_ns, np.eye(4) if pose is None else pose)
+        return True
+
+    def next_frame(self) -> None:
+        """Count a frame; apply the pending result if it is due."""
+        if self._window.next_frame():
+            self.apply()
+
+    def add_keyframe(self, keyframe: Keyframe) -> None:
+        """Submit the window that ends with a new keyframe, after the result before it."""
+        self._trajectory.add_keyframe(keyframe)
+        self.apply()
+        self._submit()
+
+    def optimise_first_pair(self, first: Keyframe) -> None:
+        """Optimise the two keyframes of a new map of a single camera."""
+        self._trajectory.add_keyframe(first)
+        self._submit()
+        self._store_moved(self._window.apply())
+
+    @timed("window")
+    def apply(self) -> None:
+        """Wait for the pending result, if there is one, and apply it to the map."""
+        update = self._window.apply()
+        if update is None:
+            return
+        # Corrections move keyframes once more: the tracker is moved last, by all of it.
+        self._store_moved(update)
+        self._refine_calibration(update)
+        self._mapper.cull()
+        self._mapper.estimate_normals(self._map.keyframes[-1])
+        self._tracker.move(update.motion_until_now())
+
+    @timed("window")
+    def _correct_vertical_disparity(
+        self, before: VerticalDisparity, now: VerticalDisparity
+    ) -> None:
+        """Apply a new correction of right images to disparities measured before, and optimise.
+
+        The motion model is not moved: its next prediction starts from the old pose.
+        """
+        self.apply()
+        self._map.correct_vertical_disparity(before, now)
+        self._store_moved(self._window.optimise_map())
+
+    def _submit(self) -> None:
+        weight = self._refiner.window_weight(self._window.submitted)
+        self._window.submit(calibration_weight=weight)
+
+    def _store_moved(self, update: WindowUpdate | None) -> None:
+        if update is not None:
+            self._trajectory.update(update.moved)
+
+    def _refine_calibration(self, update: WindowUpdate) -> None:
+        """Correct the calibration, and the map with it, once its error is certain."""
+        residual, weight = update.calibration_residual, update.window.calibration_weight
+        if residual is None:
+            return
+        correction = self._refiner.update(residual, weight, self.vertical_disparity)
+        if correction is None:
+            return
+        if isinstance(correction, DisparityCorrection):
+            offset_px, curve_px, is_yaw = correction
+            self._map.correct_disparities(offset_px, curve_px, is_yaw=is_yaw)
+        else:
+            self._map.correct_radial_distortion(correction.k1)
+        self._store_moved(self._window.optimise_map())

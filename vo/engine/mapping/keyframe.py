@@ -1,0 +1,136 @@
+"""Keyframes of the local map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.quantiles import median
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.types import Bools, Bytes, Floats, Ints, Keypoints
+from vo.engine.geometry.rolling_shutter import Velocity, at_middle_row
+
+
+@dataclass(frozen=True)
+class FrameId:
+    """Which frame a keyframe is.
+
+    Attributes:
+        index: number of the frame in the source.
+        stamp_ns: its time.
+        segment: number of its segment.
+    """
+
+    index: int
+    stamp_ns: int
+    segment: int
+
+
+class NewObservations(NamedTuple):
+    """Observations to be added to a keyframe; rows belong together.
+
+    Attributes:
+        landmark: (n,) ids.
+        xy: (n, 2) ideal pixels.
+        image_xy: (n, 2) pixels of the rectified image.
+        disparity: (n,) pixels, NaN without a measurement.
+        sigma_px: (n,) standard deviation of xy.
+    """
+
+    landmark: Ints
+    xy: Floats
+    image_xy: Floats
+    disparity: Floats
+    sigma_px: Floats
+
+
+def without_disparity(ids: Ints, xy: Floats, image_xy: Floats, sigma_px: float) -> NewObservations:
+    """Observations by camera 0 alone, of one standard deviation."""
+    count = len(ids)
+    return NewObservations(ids, xy, image_xy, np.full(count, np.nan), np.full(count, sigma_px))
+
+
+def usual_inverse_depth(inverse_depth: Floats) -> float:
+    """Median of those that are known (n,), 0 if none is."""
+    known = inverse_depth[~np.isnan(inverse_depth)]
+    return median(known) if len(known) else 0.0
+
+
+@dataclass(eq=False)
+class Keyframe:
+    """A frame that the map keeps.
+
+    Attributes:
+        id: number among the keyframes, from 0, never used again.
+        frame: which frame it is.
+        slot: index of its image in `LocalMap.images`.
+        world_from_cam: (4, 4), changed by optimisation.
+        covariance: (6, 6) in the camera's frame, None before the first optimisation.
+        cross_covariance: (6, 6) by id of earlier keyframes: rows are errors of this one.
+        keypoints: its features.
+        undistorted_xy: (N, 2) ideal pixels of its features.
+        free: (N,) features without a landmark.
+        landmark: (n,) ids of the landmarks that it observes.
+        xy: (n, 2) ideal pixels where it observes them.
+        image_xy: (n, 2) the same in its rectified image.
+        disparity: (n,) pixels, NaN without a measurement.
+        sigma_px: (n,) standard deviation of xy.
+        mask: (H, W) uint8, 0 where its image is not to be used, or None.
+        is_doubted: whether little of the map agreed with its pose, so that the motion since the
+            keyframe before may be wrong.
+        velocity: of the camera while the rows of its image were read; None with a global shutter,
+            and while it is unknown.
+    """
+
+    id: int
+    frame: FrameId
+    slot: int
+    world_from_cam: Floats
+    covariance: Floats | None
+    cross_covariance: dict[int, Floats]
+    keypoints: Keypoints
+    undistorted_xy: Floats
+    free: Bools
+    landmark: Ints
+    xy: Floats
+    image_xy: Floats
+    disparity: Floats
+    sigma_px: Floats
+    mask: Bytes | None = None
+    is_doubted: bool = False
+    velocity: Velocity | None = None
+
+    def undistort(self, rig: RectifiedRig, inverse_depth: Floats) -> None:
+        """Compute ideal pixels anew, after the lens or the velocity was corrected.
+
+        Args:
+            rig: the rectified cameras.
+            inverse_depth: (n,) of the landmarks that it observes, NaN where unknown.
+        """
+        usual = usual_inverse_depth(inverse_depth)
+        near = np.where(np.isnan(inverse_depth), usual, inverse_depth)
+        self.xy = at_middle_row(rig, self.image_xy, near, self.velocity)
+        self.undistorted_xy = at_middle_row(
+            rig, self.keypoints.xy.astype(np.float64), usual, self.velocity
+        )
+
+    def add_observations(self, new: NewObservations) -> None:
+        """Add observations of landmarks that this keyframe does not observe yet."""
+        self.landmark = np.concatenate([self.landmark, new.landmark])
+        self.xy = np.concatenate([self.xy, new.xy])
+        self.image_xy = np.concatenate([self.image_xy, new.image_xy])
+        self.disparity = np.concatenate([self.disparity, new.disparity])
+        self.sigma_px = np.concatenate([self.sigma_px, new.sigma_px])
+
+    def keep_observations(self, mask: Bools) -> None:
+        """Remove the observations outside of the mask (n,)."""
+        kept = np.flatnonzero(mask)  # taking rows is several times as fast as masking them
+        if len(kept) == len(mask):
+            return
+        self.landmark = self.landmark.take(kept)
+        self.xy = self.xy.take(kept, axis=0)
+        self.image_xy = self.image_xy.take(kept, axis=0)
+        self.disparity = self.disparity.take(kept)
+        self.sigma_px = self.sigma_px.take(kept)

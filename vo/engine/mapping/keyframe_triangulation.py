@@ -1,0 +1,263 @@
+"""New landmarks from features that two keyframes of a single camera share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import MappingConfig
+from vo.base.geometry.quantiles import median
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.geometry.transforms import inverse, transform_points
+from vo.base.types import Bools, Bytes, Floats, Ints
+from vo.engine.frontend.contracts import EpipolarSegments, feature_set
+from vo.engine.frontend.frontend import Frontend
+from vo.engine.frontend.patch_alignment import Alignment, Patches, patches_of
+from vo.engine.geometry.epipolar_segments import epipolar_segments
+from vo.engine.geometry.patch_prediction import predict_patches
+from vo.engine.geometry.rolling_shutter import at_middle_row
+from vo.engine.geometry.surfaces import surface_normals
+from vo.engine.geometry.triangulation import TriangulatedPoints, triangulate_pixels
+from vo.engine.mapping.keyframe import Keyframe, without_disparity
+from vo.engine.mapping.local_map import LocalMap
+
+_MIN_DEPTH, _MAX_DEPTH = 0.15, 100.0  # range of depths searched, ratios of the median depth
+_MIN_DEPTH_RATIO = 0.75  # of a feature's depth after the camera has come nearer, to that before
+_MIN_BASELINE_RATIO = 0.005  # of the baseline to the median depth; less gives no depth
+_MIN_LANDMARKS = 8  # of a keyframe to know its median depth
+# Minimum parallax of a landmark as a ratio of the angle by which its image has moved: calibration
+# errors that vary over the image look like parallax when the camera turns. Measured on one real
+# turn; recordings with a perfect calibration don't need it (forward-motion-keyframes.md).
+_PARALLAX_RATIO = 0.12
+_FEW_LANDMARKS = 150  # a keyframe with fewer landmarks accepts those of turns too
+# With even fewer this parallax is enough: depths within a quarter of the truth keep tracking alive
+# while the camera turns past a blank wall.
+_VERY_FEW_LANDMARKS, _MIN_PARALLAX_VERY_FEW_DEG = 100, 0.3
+_MAX_CORRECTION_PX = 3.0  # of a match, when its patch is predicted with the surface
+
+
+class _Parallax(NamedTuple):
+    """Minimum parallax of a landmark: an angle, and a ratio of that by which its image moved."""
+
+    min_deg: float
+    min_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Matched features of two keyframes; rows of the arrays belong together.
+
+    Attributes:
+        older: the older keyframe.
+        newer: the newer keyframe.
+        image: (H, W) image of the newer one.
+        newer_from_older: (4, 4).
+        inverse_depth: 1 over the median depth of the older one's landmarks.
+        query: (n,) features of the older one.
+        train: (n,) features of the newer one.
+        older_xy: (n, 2) ideal pixels in the older one.
+        image_xy: (n, 2) pixels in the newer one.
+        xy: (n, 2) ideal pixels in the newer one.
+    """
+
+    older: Keyframe
+    newer: Keyframe
+    image: Bytes
+    newer_from_older: Floats
+    inverse_depth: float
+    query: Ints
+    train: Ints
+    older_xy: Floats
+    image_xy: Floats
+    xy: Floats
+
+    def select(self, rows: Ints | Bools) -> _Pair:
+        """Some rows of the matches."""
+        return replace(
+            self,
+            query=self.query[rows],
+            train=self.train[rows],
+            older_xy=self.older_xy[rows],
+            image_xy=self.image_xy[rows],
+            xy=self.xy[rows],
+        )
+
+    def moved(self, rows: Bools, image_xy: Floats, rig: RectifiedRig) -> _Pair:
+        """Some rows of the matches, at new pixels (n, 2) in the newer keyframe."""
+        at = image_xy[rows]
+        xy = at_middle_row(rig, at, self.inverse_depth, self.newer.velocity)
+        return replace(self.select(rows), image_xy=at, xy=xy)
+
+
+class KeyframeTriangulator:
+    """Triangulates features of keyframes against those of earlier keyframes.
+
+    Args:
+        local_map: holds the keyframes and receives the landmarks.
+        frontend: matches features and aligns patches.
+        config: settings of the map.
+    """
+
+    def __init__(self, local_map: LocalMap, frontend: Frontend, config: MappingConfig) -> None:
+        self._map = local_map
+        self._matcher = frontend.matcher
+        self._patches = frontend.patches
+        self._scale_factor = frontend.scale_factor
+        self._config = config
+
+    def add_landmarks(self, keyframe: Keyframe, image: Bytes) -> None:
+        """Add landmarks from features that the newest keyframe shares with earlier ones.
+
+        If they are few, those seen while the camera turned are accepted too; if they are so few
+        that tracking would be lost, those of very uncertain depth.
+        """
+        earlier = self._map.keyframes[:-1][-self._config.neighbours :]
+        most = len(keyframe.landmark) + self._config.new_per_keyframe
+        min_deg = self._config.min_parallax_deg
+        for parallax, wanted in (
+            (_Parallax(min_deg, _PARALLAX_RATIO), most),
+            (_Parallax(min_deg, 0.0), min(_FEW_LANDMARKS, most)),
+            (_Parallax(_MIN_PARALLAX_VERY_FEW_DEG, 0.0), min(_VERY_FEW_LANDMARKS, most)),
+        ):
+            for older in reversed(earlier):
+                room = wanted - len(keyframe.landmark)
+                if room > 0:
+                    self._triangulate(older, keyframe, image, parallax, room)
+
+    def _triangulate(
+        self, older: Keyframe, newer: Keyframe, image: Bytes, parallax: _Parallax, room: int
+    ) -> None:
+        """Add at most `room` landmarks of free features of `older` that `newer` sees too."""
+        pair = self._match(older, newer, image)
+        if pair is None:
+            return
+        points = self._points(pair, parallax)
+        pair = pair.select(points.valid)
+        found = self._align_on_surfaces(pair, points.xyz[points.valid])
+        good = self._patches.is_found(found)
+        good &= np.linalg.norm(found.xy - pair.image_xy, axis=1) <= _MAX_CORRECTION_PX
+        pair = self._at_middle_rows(pair.moved(good, found.xy, self._map.rig), parallax)
+        points = self._points(pair, parallax)
+        chosen = np.flatnonzero(points.valid)
+        if len(chosen) > room:
+            angle = points.angle[chosen]
+            chosen = np.sort(chosen[np.argsort(-angle, kind="stable")[:room]])
+        self._add(pair.select(chosen), points.xyz[chosen])
+
+    def _match(self, older: Keyframe, newer: Keyframe, image: Bytes) -> _Pair | None:
+        """Free features that match along epipolar segments and by their patches.
+
+        The keyframes may lie so far behind each other that what is nearest in the older one is
+        behind the camera in the newer one.
+        """
+        newer_from_older = inverse(newer.world_from_cam) @ older.world_from_cam
+        depth = self._median_depth(older)
+        baseline = float(np.linalg.norm(newer_from_older[:3, 3]))
+        if depth is None or baseline < _MIN_BASELINE_RATIO * depth:
+            return None
+        query, train = np.flatnonzero(older.free), np.flatnonzero(newer.free)
+        start, end, possible = epipolar_segments(
+            older.undistorted_xy[query],
+            newer_from_older,
+            _MIN_DEPTH * depth,
+            _MAX_DEPTH * depth,
+            _MIN_DEPTH_RATIO,
+            self._map.rig.intrinsics,
+        )
+        query, start, end = query[possible], start[possible], end[possible]
+        size = self._scale_factor ** newer.keypoints.octave[train].astype(np.float64)
+        matches = self._matcher.match(
+            feature_set(older.keypoints, query),
+            feature_set(newer.keypoints, train, newer.undistorted_xy[train]),
+            EpipolarSegments(start, end, tolerance_px=1.5 * size),
+        )
+        query, train = query[matches.query], train[matches.train]
+        if len(query) == 0:
+            return None
+        guess = newer.keypoints.xy[train].astype(np.float64)
+        found = self._patches.align(self._patches_of(older, query), image, guess)
+        octave_size = self._scale_factor ** newer.keypoints.octave[train]
+        good = self._patches.is_found(found)
+        good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * octave_size
+        views = older, newer, image, newer_from_older, 1.0 / depth
+        pair = _Pair(*views, query, train, older.undistorted_xy[query], guess, guess)
+        return pair.moved(good, found.xy, self._map.rig)
+
+    def _patches_of(
+        self, keyframe: Keyframe, rows: Ints, reference_from_target: Floats | None = None
+    ) -> Patches:
+        xy = keyframe.keypoints.xy[rows].astype(np.float64)
+        return patches_of(self._map.images[keyframe.slot], xy, reference_from_target)
+
+    def _points(self, pair: _Pair, parallax: _Parallax) -> TriangulatedPoints:
+        """Triangulated points in the frame of the older keyframe."""
+        return triangulate_pixels(
+            pair.newer_from_older,
+            pair.older_xy,
+            pair.xy,
+            self._map.rig.intrinsics,
+            min_parallax_rad=float(np.deg2rad(parallax.min_deg)),
+            min_parallax_ratio=parallax.min_ratio,
+            max_error_px=self._config.gate * self._patches.sigma_px,
+        )
+
+    def _at_middle_rows(self, pair: _Pair, parallax: _Parallax) -> _Pair:
+        """The pair with pixels that are corrected for a rolling shutter by their own depths."""
+        older, newer, rig = pair.older, pair.newer, self._map.rig
+        if older.velocity is None and newer.velocity is None:
+            return pair
+        points = self._points(pair, parallax)
+        ahead = np.array([0.0, 0.0, 1.0 / pair.inverse_depth])
+        xyz = np.where(points.valid[:, None], points.xyz, ahead)
+        in_newer = transform_points(pair.newer_from_older, xyz)
+        near = 1.0 / xyz[:, 2], np.where(points.valid, 1.0 / in_newer[:, 2], pair.inverse_depth)
+        older_xy = older.keypoints.xy[pair.query].astype(np.float64)
+        return replace(
+            pair,
+            older_xy=at_middle_row(rig, older_xy, near[0], older.velocity),
+            xy=at_middle_row(rig, pair.image_xy, near[1], newer.velocity),
+        )
+
+    def _align_on_surfaces(self, pair: _Pair, points: Floats) -> Alignment:
+        """Align again, with patches warped by the surfaces through neighbouring points (n, 3)."""
+        older, rig = pair.older, self._map.rig
+        pose = older.world_from_cam
+        rows = self._map.rows(older.landmark)
+        landmarks = transform_points(inverse(pose), self._map.xyz[rows])
+        known = (rows >= 0) & (landmarks[:, 2] > 0)
+        xy = np.concatenate([pair.older_xy, older.xy[known]])
+        depth = np.concatenate([points[:, 2], landmarks[known, 2]])
+        number, first = np.arange(len(points)), np.zeros(len(points), dtype=np.int64)
+        seen = predict_patches(
+            transform_points(pose, points),
+            surface_normals(xy, depth, number, pose, rig.intrinsics),
+            first,
+            number,
+            first + 1,
+            np.stack([pose, pair.newer.world_from_cam]),
+            rig.intrinsics,
+        )
+        patches = self._patches_of(older, pair.query, seen.reference_from_target)
+        return self._patches.align(patches, pair.image, pair.image_xy)
+
+    def _add(self, pair: _Pair, points: Floats) -> None:
+        """Add landmarks at points (n, 3) in the older keyframe's frame."""
+        older, newer, query = pair.older, pair.newer, pair.query
+        in_world = transform_points(older.world_from_cam, points)
+        ids = self._map.add_landmarks(in_world, older, query, newer)
+        sigma_px = self._patches.sigma_px
+        older_xy = older.keypoints.xy[query].astype(np.float64)
+        older.add_observations(without_disparity(ids, pair.older_xy, older_xy, sigma_px))
+        newer.add_observations(without_disparity(ids, pair.xy, pair.image_xy, sigma_px))
+        older.free[query] = False
+        newer.free[pair.train] = False
+
+    def _median_depth(self, keyframe: Keyframe) -> float | None:
+        rows = self._map.rows(keyframe.landmark)
+        rows = rows[rows >= 0]
+        if len(rows) < _MIN_LANDMARKS:
+            return None
+        cam_from_world = inverse(keyframe.world_from_cam)
+        return median(self._map.xyz[rows] @ cam_from_world[2, :3] + cam_from_world[2, 3])

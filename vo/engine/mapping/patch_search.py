@@ -1,0 +1,105 @@
+"""Search for landmarks in keyframes of the map."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Bools, Floats, Ints
+from vo.engine.frontend.patch_alignment import PatchAligner, Patches
+from vo.engine.geometry.image_masks import used_at
+from vo.engine.geometry.patch_prediction import predict_patches
+from vo.engine.geometry.rolling_shutter import as_seen, at_middle_row
+from vo.engine.mapping.local_map import LocalMap
+
+BORDER_PX = 8.0  # of an image, where no patch is searched
+MAX_SCALE = 2.0  # maximum size ratio of a patch and its reference
+
+
+class FoundPatches(NamedTuple):
+    """Landmarks found in keyframes; rows belong together.
+
+    Attributes:
+        rows: (n,) rows of the map.
+        camera: (n,) index in `LocalMap.keyframes`.
+        xy: (n, 2) ideal pixels there.
+        image_xy: (n, 2) the same in its rectified image.
+    """
+
+    rows: Ints
+    camera: Ints
+    xy: Floats
+    image_xy: Floats
+
+
+def find_patches(
+    local_map: LocalMap, rows: Ints, camera: Ints, patches: PatchAligner
+) -> FoundPatches:
+    """Find landmarks (N,), by row, to sub-pixel in keyframes (N,) that may show them."""
+    rig = local_map.rig
+    reference = local_map.reference - local_map.keyframes[0].id
+    slots = np.array([k.slot for k in local_map.keyframes])
+    seen = predict_patches(
+        local_map.xyz, local_map.normal, reference, rows, camera, local_map.poses, rig.intrinsics
+    )
+    kept = np.flatnonzero((seen.scale < MAX_SCALE) & (seen.scale > 1.0 / MAX_SCALE))
+    near = _inverse_depth(local_map, rows[kept], camera[kept])
+    expected = _as_seen(local_map, camera[kept], seen.xy[kept], near)
+    farthest = (rig.width - BORDER_PX, rig.height - BORDER_PX)
+    inside = np.flatnonzero(((expected >= BORDER_PX) & (expected < farthest)).all(axis=1))
+    inside = inside[_shown(local_map, camera[kept[inside]], expected[inside])]
+    kept, expected = kept[inside], expected[inside]
+    rows, camera = rows[kept], camera[kept]
+    references = Patches(
+        local_map.images,
+        slots[reference[rows]],
+        local_map.reference_xy[rows],
+        seen.reference_from_target[kept],
+    )
+    found = patches.align_in(references, local_map.images, slots[camera], expected)
+    shift = np.linalg.norm(found.xy - expected, axis=1)
+    ideal = _at_middle_row(local_map, camera, found.xy, near[inside])
+    good = patches.is_found(found) & (shift <= patches.max_shift_px)
+    good &= np.isfinite(ideal).all(axis=1)
+    return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])
+
+
+def _inverse_depth(local_map: LocalMap, rows: Ints, camera: Ints) -> Floats:
+    """(N,) of landmarks in front of keyframes; 0 if no keyframe needs it."""
+    if all(keyframe.velocity is None for keyframe in local_map.keyframes):
+        return np.zeros(len(rows))
+    cam_from_world = inverse(local_map.poses)[camera, 2]
+    depth = np.einsum("ni,ni->n", cam_from_world[:, :3], local_map.xyz[rows])
+    return np.asarray(1.0 / (depth + cam_from_world[:, 3]))
+
+
+def _as_seen(local_map: LocalMap, camera: Ints, xy: Floats, near: Floats) -> Floats:
+    """Pixels (N, 2) in the images of keyframes (N,), of ideal ones at inverse depths (N,)."""
+    image_xy = local_map.rig.distort(xy)
+    for number, keyframe in enumerate(local_map.keyframes):
+        here = camera == number
+        if keyframe.velocity is not None:
+            image_xy[here] = as_seen(local_map.rig, xy[here], near[here], keyframe.velocity)
+    return image_xy
+
+
+def _at_middle_row(local_map: LocalMap, camera: Ints, image_xy: Floats, near: Floats) -> Floats:
+    """Ideal pixels (N, 2) of those in the images of keyframes (N,)."""
+    xy = local_map.rig.undistort(image_xy)
+    for number, keyframe in enumerate(local_map.keyframes):
+        here = camera == number
+        if keyframe.velocity is not None:
+            xy[here] = at_middle_row(local_map.rig, image_xy[here], near[here], keyframe.velocity)
+    return xy
+
+
+def _shown(local_map: LocalMap, camera: Ints, xy: Floats) -> Bools:
+    """(N,) whether pixels (N, 2) in the images of keyframes (N,) are where these are used."""
+    shown = np.ones(len(xy), dtype=bool)
+    for number, keyframe in enumerate(local_map.keyframes):
+        if keyframe.mask is not None:
+            here = camera == number
+            shown[here] = used_at(keyframe.mask, xy[here])
+    return shown

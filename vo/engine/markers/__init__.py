@@ -1,0 +1,1 @@
+"""Markers as the map knows them: dictionaries, corners and their poses."""

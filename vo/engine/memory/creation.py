@@ -1,0 +1,108 @@
+"""The memory of a run, built from the settings."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vo.base.config import Config
+from vo.base.errors import ConfigError
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.stopwatch import Stopwatch
+from vo.base.types import Camera
+from vo.engine.backend.pose_graph import PoseGraph
+from vo.engine.frontend.contracts import DescriptorFormat
+from vo.engine.frontend.orb import OrbExtractor
+from vo.engine.memory.inertial_poses import InertialPoses
+from vo.engine.memory.loop_bundle import LoopBundle
+from vo.engine.memory.map_worlds import WorldsInMap
+from vo.engine.memory.memory import Memory
+from vo.engine.memory.place_maker import PlaceMaker
+from vo.engine.memory.recognition import Recogniser
+from vo.engine.places.database import KeyframeDatabase
+from vo.engine.places.vocabulary import DESCRIPTOR_BYTES, Vocabulary
+from vo.engine.places.vocabulary_file import built_in_vocabulary, read_vocabulary
+from vo.engine.trajectory.builder import TrajectoryBuilder
+
+if TYPE_CHECKING:  # imported only where there are candidates: it takes a few ms each
+    from vo.engine.places.loop_verification import LoopVerifier
+    from vo.engine.places.screening import Screening
+
+
+def make_memory(
+    rig: RectifiedRig,
+    descriptors: DescriptorFormat,
+    config: Config,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+    threads: int,
+    inertial: InertialPoses | None = None,
+) -> Memory:
+    """The memory of a run.
+
+    Args:
+        rig: the rectified cameras.
+        descriptors: layout of the descriptors.
+        config: all settings.
+        trajectory: follows the keyframes that are placed.
+        stopwatch: measures the stages.
+        threads: cores to use.
+        inertial: gives metric poses of a single camera, None without a sensor.
+
+    Raises:
+        ConfigError: places cannot be recognised by these descriptors.
+        InputError: the vocabulary or the map cannot be read.
+    """
+    _check_descriptors(descriptors, config.features.detector)
+    file = config.memory.vocabulary
+    vocabulary = read_vocabulary(Path(file)) if file else built_in_vocabulary()
+    scale_factor = config.features.scale_factor
+    camera = Camera(rig.width, rig.height, rig.fx, rig.fy, rig.cx, rig.cy)
+    database, graph = KeyframeDatabase(vocabulary), PoseGraph(threads)
+    file, loaded, session = config.memory.map, None, 0
+    if file:
+        from vo.engine.memory.loaded_map import load_map
+
+        try:
+            loaded = load_map(Path(file), database, is_metric=rig.is_stereo)
+        except BaseException:
+            database.close()
+            raise
+        graph.add_map(loaded.placed, loaded.is_metric)
+        session = len(loaded.sessions)
+    localizes = config.memory.localize
+    adjusts = config.memory.adjust and not rig.is_stereo and inertial is None
+    describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
+    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo, describer=describer)
+    judges = partial(_judges, vocabulary, config)
+    recogniser = Recogniser(database, judges, camera, threads, loaded, localizes=localizes)
+    graph.unconfirmed = recogniser.unconfirmed
+    return Memory(
+        maker,
+        recogniser,
+        graph,
+        trajectory,
+        stopwatch,
+        WorldsInMap(file, loaded),
+        inertial,
+        LoopBundle(rig.intrinsics, config.smoothing) if adjusts else None,
+    )
+
+
+def _judges(vocabulary: Vocabulary, config: Config) -> tuple[Screening, LoopVerifier]:
+    """The screening and the verification of candidates."""
+    from vo.engine.places.loop_verification import LoopVerifier
+    from vo.engine.places.screening import Screening
+
+    scale_factor, seed = config.features.scale_factor, config.seed
+    verifier = LoopVerifier(scale_factor, sigma_px=config.patches.sigma_px, seed=seed)
+    return Screening(vocabulary, scale_factor, seed=seed), verifier
+
+
+def _check_descriptors(descriptors: DescriptorFormat, detector: str) -> None:
+    if descriptors.width != DESCRIPTOR_BYTES or descriptors.dtype != "uint8":
+        raise ConfigError(
+            f"memory.loops recognises places by binary descriptors of {8 * DESCRIPTOR_BYTES} bits, "
+            f"such as orb; those of {detector} are others: leave it out"
+        )

@@ -1,0 +1,182 @@
+"""Bundle adjustment of worlds with loops, at the end of a run with one camera.
+
+The pose graph knows of the path between two loops only the covariance of its motions, which hides
+how the scale has drifted. Here all observations of the keyframes are used again, with the loops as
+measured motions. The landmarks of two visits stay apart: their relation is that of the loop. With
+two cameras the pose graph alone is as accurate (docs/memory.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import SmoothingConfig
+from vo.base.geometry.projection import Intrinsics
+from vo.base.geometry.transforms import inverse, transform_points
+from vo.base.types import Floats, Floats32, Ints
+from vo.engine.backend.loop_adjustment import AdjustedPath, Motions, adjust_path
+from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.keyframe_store import StoredLandmarks
+from vo.engine.places.records import Loop, PlacedKeyframes, PlaceKey
+
+# The normal equations are dense: their solution takes time with the third power of the number of
+# keyframes, some ten seconds for so many.
+_MAX_KEYFRAMES = 400
+_MAX_STORED = 20_000  # keyframes, some 10 kB each, beyond which no world is small enough
+
+
+class _Observations(NamedTuple):
+    """What a keyframe observes; rows belong together.
+
+    Attributes:
+        frame_index: of the keyframe.
+        landmark: (n,) ids.
+        xyz: (n, 3) landmarks in the frame of the keyframe.
+        xy: (n, 2) ideal pixels.
+        sigma_px: (n,) standard deviation of xy.
+    """
+
+    frame_index: int
+    landmark: Ints
+    xyz: Floats32
+    xy: Floats32
+    sigma_px: Floats32
+
+
+class LoopBundle:
+    """Keeps the observations of stored keyframes, and adjusts worlds with loops by them.
+
+    Args:
+        intrinsics: of the rectified camera.
+        config: settings of the window.
+    """
+
+    def __init__(self, intrinsics: Intrinsics, config: SmoothingConfig) -> None:
+        self._intrinsics = intrinsics
+        self._config = config
+        self._stored: dict[PlaceKey, _Observations] | None = {}
+
+    def add(self, key: PlaceKey, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
+        """Keep what a keyframe observes."""
+        if self._stored is None or len(self._stored) == _MAX_STORED:
+            self._stored = None
+            return
+        order = np.argsort(keyframe.landmark, kind="stable")
+        order = order[np.isin(keyframe.landmark[order], landmarks.id, assume_unique=True)]
+        xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
+        self._stored[key] = _Observations(
+            keyframe.frame.index,
+            landmarks.id,
+            xyz.astype(np.float32),
+            keyframe.xy[order].astype(np.float32),
+            keyframe.sigma_px[order].astype(np.float32),
+        )
+
+    def remove_from(self, frame_index: int) -> None:
+        """Forget keyframes of a frame and those after it, which are tracked anew."""
+        if self._stored is not None:
+            kept = {k: each for k, each in self._stored.items() if each.frame_index < frame_index}
+            self._stored = kept
+
+    def adjusted(self, placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes | None:
+        """The keyframes of a world after the adjustment; None where it cannot be done.
+
+        The first one stays where it is, and the path keeps its length. Covariances stay as
+        they are.
+
+        Args:
+            placed: all keyframes of the world that were stored, in order.
+            loops: that the pose graph accepts; those of other worlds are ignored.
+        """
+        stored = self._observations(placed.keys)
+        row = {key: n for n, key in enumerate(placed.keys)}
+        ends = [(row.get(loop.earlier), row.get(loop.later), loop) for loop in loops]
+        scale = placed.scale
+        motions = [
+            _motion(loop, earlier, later, scale[earlier], scale[later])
+            for earlier, later, loop in ends
+            if earlier is not None and later is not None
+        ]
+        if stored is None or not motions:
+            return None
+        problem = self._problem(stored, placed.world_from_cam, scale)
+        measured = Motions(*(np.array(each) for each in zip(*motions, strict=True)))
+        found = adjust_path(problem, measured, self._config)
+        if found is None:
+            return None
+        world_from_cam = found.world_from_cam.copy()
+        unit = _length(problem.world_from_cam) / _length(world_from_cam)
+        first = world_from_cam[0, :3, 3].copy()
+        before = np.concatenate([s * each.xyz[:, 2] for s, each in zip(scale, stored, strict=True)])
+        world_from_cam[:, :3, 3] = first + unit * (world_from_cam[:, :3, 3] - first)
+        scale = scale * unit * _depth_ratios(problem, found, before)
+        return replace(placed, world_from_cam=world_from_cam, scale=scale)
+
+    def _observations(self, keys: Sequence[PlaceKey]) -> list[_Observations] | None:
+        """Observations of all keyframes of a world; None where there are too many, or none."""
+        stored = self._stored
+        if stored is None or len(keys) > _MAX_KEYFRAMES or any(key not in stored for key in keys):
+            return None
+        return [stored[key] for key in keys]
+
+    def _problem(
+        self,
+        stored: Sequence[_Observations],
+        world_from_cam: Floats,
+        scale: Floats,
+    ) -> WindowProblem:
+        xyz = [
+            transform_points(pose, unit * each.xyz.astype(np.float64))
+            for pose, unit, each in zip(world_from_cam, scale.tolist(), stored, strict=True)
+        ]
+        landmark = np.concatenate([each.landmark for each in stored])
+        # A landmark starts where the last keyframe that observes it has it.
+        last, point = np.unique(landmark[::-1], return_index=True, return_inverse=True)[1:]
+        return WindowProblem(
+            intrinsics=self._intrinsics,
+            baseline_m=0.0,
+            sigma_disparity_px=1.0,  # of none
+            world_from_cam=world_from_cam,
+            fixed=np.arange(len(stored)) == 0,
+            points=np.concatenate(xyz)[::-1][last],
+            keyframe=np.repeat(np.arange(len(stored)), [len(each.landmark) for each in stored]),
+            point=np.ascontiguousarray(point[::-1]),
+            xy=np.concatenate([each.xy for each in stored]).astype(np.float64),
+            disparity=np.full(len(landmark), np.nan),
+            sigma_px=np.concatenate([each.sigma_px for each in stored]).astype(np.float64),
+            estimates_calibration=False,
+        )
+
+
+def _motion(
+    loop: Loop, earlier: int, later: int, earlier_scale: float, later_scale: float
+) -> tuple[int, int, Floats, Floats]:
+    """The row of a loop in `Motions`, in the unit of the world."""
+    motion = loop.earlier_from_later.copy()
+    motion[:3, 3] *= earlier_scale
+    unit = np.r_[np.ones(3), np.full(3, later_scale)]
+    return earlier, later, motion, unit[:, None] * loop.covariance[:6, :6] * unit
+
+
+def _length(world_from_cam: Floats) -> float:
+    """Of the path through keyframes (K, 4, 4)."""
+    return float(np.linalg.norm(np.diff(world_from_cam[:, :3, 3], axis=0), axis=1).sum())
+
+
+def _depth_ratios(problem: WindowProblem, found: AdjustedPath, before: Floats) -> Floats:
+    """(K,) depths of each keyframe's landmarks relative to those of before (N,), the median."""
+    pose = found.world_from_cam[problem.keyframe]
+    offset = found.points[problem.point] - pose[:, :3, 3]
+    after = np.einsum("ni,ni->n", pose[:, :3, 2], offset)
+    usable = (before > 0) & (after > 0)
+    ratio = np.ones(len(found.world_from_cam))
+    for k in range(len(ratio)):
+        rows = np.flatnonzero(usable & (problem.keyframe == k))
+        if len(rows):
+            ratio[k] = np.median(after[rows] / before[rows])
+    return ratio

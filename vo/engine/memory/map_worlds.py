@@ -1,0 +1,93 @@
+"""Worlds of a run that goes on in a loaded map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vo.base.records.closed_loops import MapUse
+from vo.engine.mapping.keyframe import FrameId
+from vo.engine.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
+
+if TYPE_CHECKING:
+    from vo.engine.memory.loaded_map import LoadedMap
+
+
+class WorldsInMap:
+    """Which worlds of the run are in the map, and the frames of its keyframes.
+
+    The pose graph numbers the worlds of the map first. For the run a world has the number of the
+    first of its own segments, as without a map.
+
+    Attributes:
+        met: numbers of the worlds of the run that are in the map.
+        metric: those of them whose lengths are metres by the map.
+
+    Args:
+        file: of the map.
+        loaded: the map, None without one.
+    """
+
+    def __init__(self, file: str, loaded: LoadedMap | None) -> None:
+        self.met: tuple[int, ...] = ()
+        self.metric: tuple[int, ...] = ()
+        self._file = file
+        self._loaded = loaded
+
+    @property
+    def use(self) -> MapUse | None:
+        """What is reported, None without a map."""
+        if self._loaded is None:
+            return None
+        return MapUse(self._file, self._loaded.sessions, self.met, self.metric)
+
+    @property
+    def markers(self) -> list[tuple[MarkerVisit, FrameId]]:
+        """Markers of the map, and the frames of the keyframes that they are relative to."""
+        if self._loaded is None:
+            return []
+        return [(each, self._loaded.frames[each.key]) for each in self._loaded.markers]
+
+    def frame(self, key: PlaceKey) -> FrameId | None:
+        """The frame of a keyframe of the map, None for another one."""
+        return None if self._loaded is None else self._loaded.frames.get(key)
+
+    def has_older(self, segment: int, world: int) -> bool:
+        """Whether there may be older worlds, and a segment in a world is in none of them."""
+        if world in self.met or world != segment:
+            return False
+        return self._loaded is not None or segment > 0
+
+    def numbered(self, placed: PlacedKeyframes, frames: dict[PlaceKey, FrameId]) -> PlacedKeyframes:
+        """Placed keyframes with the run's numbers of worlds; notes which of them are in the map.
+
+        Args:
+            placed: keyframes of the connected worlds.
+            frames: those of the keyframes of the run.
+        """
+        if self._loaded is None:
+            return placed
+        last = int(self._loaded.placed.world.max(initial=-1))
+        number: dict[int, int] = {}
+        for key, world in zip(placed.keys, placed.world.tolist(), strict=True):
+            if key in frames:
+                segment = frames[key].segment
+                number[world] = min(number.get(world, segment), segment)
+        self.met = tuple(sorted(n for world, n in number.items() if world <= last))
+        metric = self._loaded.metric_worlds
+        self.metric = tuple(sorted(n for world, n in number.items() if world in metric))
+        world = np.array([number.get(w, w) for w in placed.world.tolist()], np.int64)
+        return replace(placed, world=world)
+
+    def metric_of(self, placed: PlacedKeyframes) -> set[int]:
+        """Numbers of the placed worlds that are metric by the map."""
+        if self._loaded is None:
+            return set()
+        world_of = dict(zip(self._loaded.placed.keys, self._loaded.placed.world, strict=True))
+        return {
+            int(world)
+            for key, world in zip(placed.keys, placed.world, strict=True)
+            if key in world_of and int(world_of[key]) in self._loaded.metric_worlds
+        }

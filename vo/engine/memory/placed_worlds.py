@@ -1,0 +1,84 @@
+"""Keyframes that the pose graph has placed, by their worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vo.base.records.metric_scale import MetricScale
+from vo.engine.places.records import Loop, PlacedKeyframes
+from vo.engine.trajectory.map_frame import scaled_covariance
+
+
+def of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes:
+    """The keyframes of worlds with loops; others stay where they are, to the last bit."""
+    world_of = dict(zip(placed.keys, placed.world.tolist(), strict=True))
+    worlds = {world_of[loop.later] for loop in loops if loop.later in world_of}
+    rows = [n for n, world in enumerate(placed.world.tolist()) if world in worlds]
+    return replace(
+        placed,
+        keys=tuple(placed.keys[n] for n in rows),
+        world=placed.world[rows],
+        world_from_cam=placed.world_from_cam[rows],
+        scale=placed.scale[rows],
+        covariance=placed.covariance[rows],
+    )
+
+
+def with_adjusted(placed: PlacedKeyframes, adjusted: Sequence[PlacedKeyframes]) -> PlacedKeyframes:
+    """Placed keyframes, with the poses and scales of those that were adjusted afterwards."""
+    world_from_cam, scale = placed.world_from_cam.copy(), placed.scale.copy()
+    row = {key: n for n, key in enumerate(placed.keys)}
+    for each in adjusted:
+        for n, key in enumerate(each.keys):
+            if key in row:
+                world_from_cam[row[key]], scale[row[key]] = each.world_from_cam[n], each.scale[n]
+    return replace(placed, world_from_cam=world_from_cam, scale=scale)
+
+
+def in_metres(
+    placed: PlacedKeyframes,
+    worlds: Mapping[int, int],
+    scales: Mapping[int, MetricScale],
+    metric: Collection[int],
+) -> tuple[PlacedKeyframes, set[int]]:
+    """Placed keyframes, converted where there is a scale; the numbers of the worlds in metres.
+
+    Args:
+        placed: all of them.
+        worlds: the run's number of its worlds, by rows of its keyframes.
+        scales: by the run's number of the world.
+        metric: those of worlds that are in metres already.
+    """
+    factors = {n: scales[world].value for n, world in worlds.items() if world in scales}
+    placed = scaled_worlds(placed, factors)
+    rows = (*factors, *(n for n, world in worlds.items() if world in metric))
+    return placed, {int(placed.world[row]) for row in rows}
+
+
+def scaled_worlds(placed: PlacedKeyframes, factor_of: Mapping[int, float]) -> PlacedKeyframes:
+    """Placed keyframes with some worlds in another unit.
+
+    Args:
+        placed: all of them.
+        factor_of: length in the new unit of one of the old unit, by rows of keyframes; it holds for
+            all keyframes of the same world.
+    """
+    factor = np.ones(len(placed.keys))
+    for row, value in factor_of.items():
+        factor[placed.world == placed.world[row]] = value
+    if (factor == 1.0).all():
+        return placed
+    world_from_cam = placed.world_from_cam.copy()
+    world_from_cam[:, :3, 3] *= factor[:, None]
+    covariance = np.stack(
+        [scaled_covariance(c, f) for c, f in zip(placed.covariance, factor, strict=True)]
+    )
+    return replace(
+        placed,
+        world_from_cam=world_from_cam,
+        scale=placed.scale * factor,
+        covariance=covariance,
+    )

@@ -1,0 +1,94 @@
+"""Which keyframes of places that are known well are searched, and which are stored.
+
+A camera that stays in one room would find loops, and store keyframes of the same views, without
+end. So the more loops have led to a place, the seldomer it is searched, and between two loops to a
+place that many have led to, keyframes that look like stored ones are not kept.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from vo.engine.places.database import KeyframeDatabase
+from vo.engine.places.records import Loop, Place, PlaceKey
+
+_MIN_SHARED = 15  # landmarks of keyframes of the same place
+# After so many keyframes in a row with loops, only one is searched in so much time; where more than
+# so many loops were found the time grows with the square of their number, to the longest.
+_STEADY, _PAUSE_NS, _LONGEST_NS = 3, 500_000_000, 10_000_000_000
+_FEW_LOOPS = 40
+_MANY_LOOPS = 80  # at places of which no more keyframes are needed
+
+
+class SearchPauses:
+    """Chooses the keyframes that are searched, and those that are not kept.
+
+    Args:
+        database: of stored keyframes.
+    """
+
+    def __init__(self, database: KeyframeDatabase) -> None:
+        self._database = database
+        # Loops of all visits are counted at keyframes of the first one.
+        self._first_of: dict[PlaceKey, PlaceKey] = {}  # by keyframe with a loop
+        self._loops_at: Counter[PlaceKey] = Counter()
+        self._in_a_row = 0  # keyframes with loops
+        self._last_ns = 0  # time of the last one of them
+        self._loops_here = 0  # at its place
+        self._spare: list[PlaceKey] = []  # not searched since, at places with many loops
+
+    def begin_segment(self) -> None:
+        """Search all keyframes until loops are found."""
+        self._in_a_row = 0
+        self._spare.clear()
+
+    def skips(self, place: Place) -> bool:
+        """Whether a stored keyframe is not searched."""
+        since_ns = place.frame.stamp_ns - self._last_ns
+        factor = max(1.0, self._loops_here / _FEW_LOOPS) ** 2
+        if self._in_a_row < _STEADY or since_ns >= min(factor * _PAUSE_NS, _LONGEST_NS):
+            return False
+        if self._loops_here < _MANY_LOOPS:
+            return True
+        candidates = self._database.query(place)
+        if candidates and self._loops_near(self._first(candidates[0].key)) >= _MANY_LOOPS:
+            self._spare.append(place.key)
+            return True
+        return since_ns < _PAUSE_NS
+
+    def note(self, place: Place, loops: Sequence[Loop]) -> tuple[PlaceKey, ...]:
+        """Note the loops of a keyframe; returns stored ones that are not needed, and removes them.
+
+        Args:
+            place: the keyframe, which was searched.
+            loops: what was found, the best one first.
+        """
+        spare, self._spare = self._spare, []
+        self._in_a_row = self._in_a_row + 1 if loops else 0
+        self._last_ns = place.frame.stamp_ns
+        if not loops:
+            return ()
+        first = self._first(loops[0].earlier)
+        self._first_of[loops[0].earlier] = self._first_of[loops[0].later] = first
+        self._loops_at[first] += 1
+        self._loops_here = self._loops_near(first)
+        if self._loops_here < _MANY_LOOPS:
+            return ()
+        removed = tuple(key for key in spare if key in self._database)
+        for key in removed:
+            self._database.remove(key)
+        return removed
+
+    def _near(self, key: PlaceKey) -> list[PlaceKey]:
+        """A keyframe and those that share landmarks with it, most first."""
+        if key not in self._database:  # frames were tracked anew
+            return [key]
+        return [key, *(other for other, _ in self._database.covisible(key, _MIN_SHARED))]
+
+    def _first(self, key: PlaceKey) -> PlaceKey:
+        """The keyframe of the first visit at which loops to a keyframe are counted."""
+        return next((self._first_of[k] for k in self._near(key) if k in self._first_of), key)
+
+    def _loops_near(self, first: PlaceKey) -> int:
+        return sum(self._loops_at[key] for key in self._near(first))

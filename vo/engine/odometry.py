@@ -1,0 +1,275 @@
+"""Visual odometry: the pose of each frame from its images.
+
+The local map holds the newest keyframes and the landmarks that they observe. Each frame is tracked
+against it. A frame that sees too little of the map, or sees it from a new side, becomes a keyframe,
+which adds landmarks and is optimised together with the keyframes before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from subprocess import Popen
+
+import cv2
+
+from vo.base.config import Config
+from vo.base.failures import Failure, FailureReason
+from vo.base.records.calibration_errors import CalibrationErrors
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Estimate, Frame, Rig, Snapshot, State
+from vo.engine.frontend.lazy_future import LazyFuture
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.learned.inference import networks_used
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.tracked_frame import TrackedFrame, as_tracked_frame
+from vo.engine.refinement.corrected_errors import corrected_errors
+from vo.engine.snapshot import FrameResult, make_estimate, make_snapshot
+from vo.engine.stages import BUILT_IN, Components, make_stages
+from vo.engine.trajectory.map_frame import Anchor
+from vo.engine.trajectory.store import TrajectoryStore
+from vo.engine.warmup import warm_up
+
+
+class Odometry:
+    """Computes poses from frames, one `track` a frame; `close` it at the end.
+
+    The number and speed of threads make no difference to any pose.
+
+    Attributes:
+        stopwatch: measures the stages.
+        hidden: ratio of the recorded images that masks of the whole run hide, by camera.
+        placement: closes loops and uses an inertial sensor, if it is asked to.
+        networks: model, device and SHA-256 of each network in use.
+
+    Args:
+        rig: the cameras, as recorded.
+        config: all settings.
+        components: parts to be used instead of the built-in ones.
+        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
+
+    Raises:
+        CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        config: Config,
+        components: Components = BUILT_IN,
+        optimizer_process: Popen[bytes] | None = None,
+    ) -> None:
+        warm_up(Odometry)
+        cv2.setRNGSeed(config.seed)
+        self.stopwatch = Stopwatch()
+        with networks_used() as networks:
+            stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
+        self.networks = tuple(network._asdict() for network in networks)
+        self._preprocessor = stages.preprocessor
+        self.hidden = stages.preprocessor.hidden
+        self._window_optimizer = stages.window_optimizer
+        self._tracker = stages.tracker
+        self._frozen_camera = stages.frozen_camera
+        self._rescue = stages.rescue
+        self._creator = stages.creator
+        self._policy = stages.policy
+        self._forecast = stages.forecast
+        self._loss_policy = stages.loss_policy
+        self._map = stages.local_map
+        self._mapper = stages.mapper
+        self._updater = stages.updater
+        self._trajectory = stages.trajectory
+        self.placement = stages.placement
+        self._config = config
+        self._state = State.STARTING
+        self._segment = 0
+        self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
+        self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
+        self._result: FrameResult | None = None  # of the newest frame
+        self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
+        self._has_moved = False  # whether the newest frame has added or moved keyframes
+
+    def track(self, frame: Frame) -> Estimate:
+        """Process the next frame."""
+        return self._process(self._preprocessor.submit(frame))
+
+    def track_all(self, frames: Iterable[Frame]) -> Iterator[Estimate]:
+        """Process frames, each of them preprocessed while the one before it is tracked."""
+        for pending in self._preprocessor.ahead(frames):
+            yield self._process(pending)
+
+    def locate(self, frame: Frame) -> Estimate:
+        """The pose of the next frame, at once.
+
+        The rest, which the next frame needs, is left to `update_map`; keyframes that it adds or
+        moves are in the next estimate.
+        """
+        return self._estimate(self._locate(self._preprocessor.submit(frame)))
+
+    def update_map(self) -> None:
+        """Make the newest frame a keyframe if the map needs one; in any thread, before the next."""
+        result = self._result
+        if result is None or not result.is_keyframe or result.keyframe is not None:
+            return
+        assert result.tracked is not None
+        self._result = result._replace(keyframe=self._add_keyframe(result.frame, result.tracked))
+
+    def finish(self) -> Mapping[str, float]:
+        """Apply the last results of the optimizer; the time by stage that it took."""
+        self.update_map()
+        self._updater.apply()
+        self.placement.finish(self._map)
+        return self.stopwatch.take()
+
+    def close(self) -> None:
+        """Hand the map to the keyframe store, and end threads and processes."""
+        self._map.clear()
+        self.placement.close()
+        self._window_optimizer.close()
+        self._preprocessor.close()
+
+    @property
+    def trajectory(self) -> TrajectoryStore:
+        """The path so far."""
+        return self._trajectory.store
+
+    @property
+    def calibration_errors(self) -> CalibrationErrors:
+        """Errors of the calibration that were found and are corrected."""
+        return corrected_errors(self._map.rig, self._updater.corrected)
+
+    def snapshot(self) -> Snapshot:
+        """The newest frame and the local map for display, before the next frame is tracked."""
+        if self._result is None:
+            raise RuntimeError("no frame has been tracked yet")
+        sigma_px = self._config.stereo.sigma_disparity_px
+        anchor = self.trajectory.anchor(self._segment)
+        return make_snapshot(self._result, self._map, sigma_px, anchor, has_moved=self._has_moved)
+
+    def _process(self, pending: LazyFuture[PreprocessedFrame]) -> Estimate:
+        result = self._locate(pending)
+        self.update_map()
+        return self._estimate(result)
+
+    def _locate(self, pending: LazyFuture[PreprocessedFrame]) -> FrameResult:
+        """Track a frame, after the frames before it once more if they were misled."""
+        frame = self._preprocess(pending)
+        self.update_map()
+        self.placement.begin_frame(frame.index, self._segment, self._map)
+        if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
+            self.placement.forget_from(frame.misled[0].index)
+            self._creator.restart()
+            self._state, self._lost = State.STARTING, []
+            for each in frame.misled:
+                self._advance(each)
+        result, is_lost = self._advance(frame), self._state is not State.TRACKING
+        self._anchor = self._trajectory.store.anchor(self._segment)
+        self._preprocessor.is_eager = is_lost or self._forecast.expects_all
+        return result
+
+    def _advance(self, frame: PreprocessedFrame) -> FrameResult:
+        """Track a frame, and give up the map after too many lost ones."""
+        self.update_map()
+        self._updater.follow(frame)
+        self._result = self._track(frame)
+        if self._loss_policy.gives_up(self._lost):
+            for each in self._start_segment():  # a new map may hold the frames that were lost
+                self.update_map()
+                self._result = self._track(each)
+        return self._result
+
+    @timed("features")
+    def _preprocess(self, pending: LazyFuture[PreprocessedFrame]) -> PreprocessedFrame:
+        frame = pending.result()
+        if self._expects_keyframe or self._state is not State.TRACKING:
+            frame.start_features()
+        return frame
+
+    def _track(self, frame: PreprocessedFrame) -> FrameResult:
+        """Track one frame, make it a keyframe if the map needs one, and extend the map."""
+        if self._frozen_camera.is_frozen(frame, self._segment):
+            return FrameResult(frame, failure=Failure(FailureReason.REPEATED_IMAGE))
+        before, last_from_cam = self._tracker.last, None
+        if self._state is State.TRACKING:
+            # The window is optimised at the same time: the result does not depend on it.
+            last_from_cam = self._tracker.align_to_last(frame)
+        self._updater.next_frame()
+        if self._state is State.STARTING:
+            return self._start(frame)
+        is_lost = self._state is State.LOST or self._frozen_camera.has_withheld
+        frame = self._rescue.of_map(frame)
+        tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)
+        if isinstance(tracked, Failure):
+            frame, tracked = self._rescue.track(frame, tracked)
+        if isinstance(tracked, Failure):
+            self._state = State.LOST
+            self._lost.append(frame.of_kind(is_second=False))
+            return FrameResult(frame, failure=tracked, predicted=self._tracker.predicted(frame))
+        self._state, self._lost = State.TRACKING, []
+        newest = self._map.keyframes[-1]
+        for each in self._frozen_camera.resume(tracked):
+            self._trajectory.add_frame(each, newest, self._tracker.last_pose)
+        faults = self._tracker.update(frame, tracked)
+        is_keyframe = self._needs_keyframe(frame, tracked)
+        if is_keyframe:
+            frame = self._rescue.at_keyframe(frame)
+        else:
+            self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
+        return FrameResult(frame, tracked, is_keyframe, before, faults=faults)
+
+    def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:
+        change = self._policy.change_since_last(self._map, frame, tracked)
+        is_keyframe = self._policy.needs_keyframe(change)
+        self._expects_keyframe = self._forecast.expects_next(change, is_keyframe=is_keyframe)
+        return is_keyframe
+
+    def _add_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> Keyframe:
+        """Add a keyframe and landmarks, and optimise the newest keyframes."""
+        frame.start_features()
+        keyframe = self._mapper.add_keyframe(frame, tracked, self._segment)
+        if self._map.rig.is_stereo:  # the window is optimised while the map grows
+            self._updater.add_keyframe(keyframe)
+            self._mapper.extend(keyframe, frame)
+        else:  # new landmarks of a single camera must be optimised before they are used
+            self._mapper.extend(keyframe, frame)
+            self._updater.add_keyframe(keyframe)
+        return keyframe
+
+    @timed("start")
+    def _start(self, frame: PreprocessedFrame) -> FrameResult:
+        """Create the first map of a segment, where a frame allows it."""
+        keyframe = self._creator.create_map(frame, self._tracker.last_pose, self._segment)
+        if isinstance(keyframe, Failure):
+            return FrameResult(frame, failure=keyframe)
+        frame = self._rescue.of_map(frame)
+        before = self._tracker.last
+        self._state, self._lost = State.TRACKING, []
+        self._updater.add_keyframe(keyframe)
+        tracked = as_tracked_frame(self._map, keyframe)
+        self._tracker.restart(frame, tracked)
+        return FrameResult(frame, tracked, True, before, keyframe=keyframe)
+
+    def _start_segment(self) -> list[PreprocessedFrame]:
+        """Give up the map; the lost frames, to be tracked in a new one."""
+        self._updater.apply()
+        frames, self._lost = self._lost, []
+        self._tracker.forget_last_frame()
+        self._creator.restart()
+        self._state = State.STARTING
+        self._segment += 1
+        return frames
+
+    def _estimate(self, result: FrameResult) -> Estimate:
+        moved = self._trajectory.take_moved()
+        self._has_moved = bool(moved)
+        pose, path = result.world_from_cam, self._trajectory
+        return replace(
+            make_estimate(result, self._state, self._segment),
+            world_from_cam0=None if pose is None else path.map_from_cam0(pose, self._anchor),
+            predicted=path.predicted(result.predicted, self._segment, self._anchor),
+            faults=result.every_fault + self._updater.faults,
+            keyframes=moved,
+            landmark_ids=self._map.id.copy() if moved else None,
+            stage_ms=self.stopwatch.take(),
+            disparity_offset_px=self._map.rig.disparity_offset_px,
+        )

@@ -1,0 +1,148 @@
+"""What places keyframes in the map frame: closed loops, an inertial sensor, or both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vo.base.errors import OutputError
+from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
+from vo.base.records.inertial_use import InertialUse
+from vo.base.records.metric_scale import MetricScale
+from vo.base.types import Trajectory
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.markers.marker_problem import MarkerView
+from vo.engine.trajectory.store import TrajectoryStore
+
+if TYPE_CHECKING:  # many runs need neither
+    from vo.engine.inertial_path.alignment import InertialAlignment
+    from vo.engine.memory.memory import Memory
+
+
+class Placement:
+    """Works beside tracking, without changing it; without memory and sensor it does nothing.
+
+    Args:
+        memory: stores keyframes and closes loops, None for no loops.
+        inertial: estimates metric, upright poses, None without a sensor.
+    """
+
+    def __init__(self, memory: Memory | None, inertial: InertialAlignment | None) -> None:
+        self._memory = memory
+        self._inertial = inertial
+
+    @property
+    def closed_loops(self) -> tuple[ClosedLoop, ...]:
+        """Loops that were closed so far."""
+        return () if self._memory is None else self._memory.closed_loops
+
+    @property
+    def relocalisations(self) -> tuple[Relocalisation, ...]:
+        """Segments whose place in an older world was found while the camera was in them."""
+        return () if self._memory is None else self._memory.relocalisations
+
+    @property
+    def map_use(self) -> MapUse | None:
+        """The loaded map, None without one."""
+        return None if self._memory is None else self._memory.map_use
+
+    @property
+    def inertial(self) -> InertialUse | None:
+        """What became of the inertial sensor, None without one."""
+        return None if self._inertial is None else self._inertial.use
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences for the user about markers that close no loops."""
+        return () if self._memory is None else self._memory.markers.notes
+
+    def is_metric(self, segment: int) -> bool:
+        """Whether a sensor or the loaded map gives lengths of a segment of one camera the metre."""
+        if self._memory is not None and self._memory.is_metric(segment):
+            return True
+        return self._inertial is not None and self._inertial.is_metric(segment)
+
+    def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
+        """Before a frame is tracked, after all updates of the map of its segment."""
+        if self._inertial is not None:
+            self._inertial.begin_frame(local_map)
+        if self._memory is not None:
+            self._memory.begin_frame(index, segment, local_map)
+
+    def see_markers(
+        self, frame_index: int, views: Sequence[MarkerView], repeated: Sequence[int]
+    ) -> None:
+        """After a frame was tracked: the markers that it shows.
+
+        Args:
+            frame_index: number of the frame.
+            views: of markers whose id it shows once.
+            repeated: ids that it shows several times.
+        """
+        if self._memory is not None:
+            self._memory.markers.see(frame_index, views, repeated)
+
+    def forget_from(self, frame_index: int) -> None:
+        """Forget all keyframes from a frame on, which are tracked anew."""
+        if self._inertial is not None:
+            self._inertial.forget_from(frame_index)
+        if self._memory is not None:
+            self._memory.forget_from(frame_index)
+
+    def finish(self, local_map: LocalMap) -> None:
+        """After the last frame: take in the keyframes of the local map, and apply all results."""
+        if self._inertial is not None:
+            self._inertial.finish(local_map)
+        if self._memory is not None:
+            self._memory.finish(local_map)
+        if self._inertial is not None:
+            self._inertial.fill_gaps()
+
+    def path_before_loops(
+        self, store: TrajectoryStore, scales: Mapping[int, MetricScale]
+    ) -> Trajectory:
+        """The path before all loops, after `finish`: each segment in a world of its own.
+
+        Segments that the inertial sensor has joined without images stay together.
+
+        Args:
+            store: the path.
+            scales: by number of the world, those of which are converted to metres.
+        """
+        if self._inertial is not None and self._inertial.placement.has_poses:
+            return self._inertial.placement.path_before_loops()
+        return store.odometry(scales)
+
+    def check_savable(self, path: Path) -> None:
+        """Check before the first frame that there will be one map to save.
+
+        Raises:
+            OutputError: there will be none, or the loaded map is of another camera.
+        """
+        self._savable(path).check_savable(path)
+
+    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
+        """Write the stored keyframes and where they are to a file, after `finish`.
+
+        Args:
+            path: the file.
+            source: name of the recording.
+            scales: by number of the world, to write those in metres.
+
+        Raises:
+            OutputError: the file cannot be written; errors of `check_savable`.
+        """
+        self._savable(path).save_map(path, source, scales)
+
+    def close(self) -> None:
+        """End threads and processes."""
+        if self._memory is not None:
+            self._memory.close()
+
+    def _savable(self, path: Path) -> Memory:
+        if self._memory is None:
+            raise OutputError(
+                f"there is no map to save to {path}: loops are not closed; use --loops"
+            )
+        return self._memory

@@ -1,0 +1,155 @@
+"""Whether two keyframes look the same around their landmarks, where a relation predicts them.
+
+In places that look alike many landmarks agree in everything. What tells them apart is what differs:
+a door plate, a poster, what is behind a window. So windows of the small images are compared, also
+where no feature was detected in the other image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Ints
+from vo.engine.geometry import sim3
+from vo.engine.places.landmark_search import KeyframePair
+from vo.engine.places.merged_landmarks import MergedLandmarks, in_view
+from vo.engine.places.patch_comparison import COMPARED_PX, largest_correlation, normalised
+from vo.engine.places.records import Place
+
+_SEARCHED_PX = COMPARED_PX + 2  # with shifts of a pixel
+_MIN_CONTRAST = 4.0  # standard deviation of a window, grey levels
+_MAX_SHIFT_PX = 1.0  # of a window, by twice the standard deviation of the landmark's depth
+_SEEN_AGAIN, _DIFFERENT = 0.8, 0.5  # correlations
+_MAX_LANDMARKS = 300  # of each keyframe, spread over all of them
+_CONTROLS = 2  # keyframes of its own visit in which a landmark must look the same
+
+
+class ComparedWindows(NamedTuple):
+    """Windows around landmarks of both keyframes.
+
+    Attributes:
+        compared: how many.
+        different: how many of them look different in the other image.
+    """
+
+    compared: int
+    different: int
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """The image of a keyframe and the camera of its landmarks' pixels."""
+
+    image: Bytes
+    camera: Camera
+
+    @property
+    def scale(self) -> Floats:
+        """(2,) pixels of the image for one of the camera."""
+        height, width = self.image.shape
+        return np.array([width / self.camera.width, height / self.camera.height])
+
+    def pixels(self, xy: Floats) -> Floats:
+        """Pixels (n, 2) of the camera as pixels of the image."""
+        return np.asarray((xy + 0.5) * self.scale - 0.5)
+
+    def holds(self, pixels: Floats) -> Bools:
+        """(n,) whether windows around pixels are in the image."""
+        margin, size = COMPARED_PX // 2, np.array(self.image.shape[::-1])
+        return np.asarray(((pixels >= margin) & (pixels <= size - 1 - margin)).all(axis=1))
+
+    def windows(self, pixels: Floats, steps: Floats, side: int) -> Floats32:
+        """(n, side, side) grey levels around pixels (n, 2), with steps (n, 2, 2) of a pixel."""
+        across = np.arange(side) - side // 2
+        offsets = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2).astype(np.float64)
+        at = (pixels[:, None] + offsets @ np.swapaxes(steps, 1, 2)).astype(np.float32)
+        u, v = (np.ascontiguousarray(at[..., axis]) for axis in (0, 1))
+        grey = cv2.remap(self.image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(grey.reshape(-1, side, side), np.float32)
+
+
+def compare_images(
+    pair: KeyframePair, earlier: Sequence[Place], later: Sequence[Place], relation: Floats
+) -> ComparedWindows:
+    """Windows of both keyframes that should look the same, and those that do not.
+
+    Only landmarks that look the same in another keyframe of their own visit are compared: others
+    are at edges of depth, or in the wrong position.
+
+    Args:
+        pair: the keyframes.
+        earlier: the earlier keyframe, then others of its visit.
+        later: the same for the later one.
+        relation: (4, 4) similarity earlier_from_later.
+    """
+    first, second = pair.cameras
+    forward = _correlations(
+        pair.earlier, earlier, _View(later[0].thumbnail, second), first, sim3.inverse(relation)
+    )
+    back = _correlations(pair.later, later, _View(earlier[0].thumbnail, first), second, relation)
+    found = np.concatenate([forward, back])
+    return ComparedWindows(len(found), int((found < _DIFFERENT).sum()))
+
+
+def _correlations(
+    landmarks: MergedLandmarks,
+    visit: Sequence[Place],
+    there: _View,
+    camera: Camera,
+    there_from_here: Floats,
+) -> Floats:
+    """(n,) of windows around landmarks of the first keyframe of a visit that are reliable."""
+    here = _View(visit[0].thumbnail, camera)
+    found = _by_landmark(landmarks, here, there, there_from_here)
+    again = np.full(landmarks.own, np.nan)
+    for other in visit[1 : 1 + _CONTROLS]:
+        motion = inverse(other.odom_from_cam) @ visit[0].odom_from_cam
+        again = np.fmin(
+            again, _by_landmark(landmarks, here, _View(other.thumbnail, camera), motion)
+        )
+    return np.asarray(found[np.isfinite(found) & (again > _SEEN_AGAIN)])
+
+
+def _by_landmark(
+    landmarks: MergedLandmarks, here: _View, there: _View, there_from_here: Floats
+) -> Floats:
+    """(own,) correlation of the windows around each landmark, NaN where there are none."""
+    result = np.full(landmarks.own, np.nan)
+    view = in_view(there_from_here, landmarks, here.camera, there.camera)
+    every = -(-landmarks.own // _MAX_LANDMARKS)
+    own = (view.rows < landmarks.own) & (view.rows % max(every, 1) == 0)
+    rows, size = view.rows[own], view.size[own]
+    source, target = here.pixels(landmarks.xy[rows]), there.pixels(view.xy[own])
+    shift = _shift(landmarks, rows, there, there_from_here)
+    inside = here.holds(source) & there.holds(target) & (shift < _MAX_SHIFT_PX)
+    rows, size, source, target = rows[inside], size[inside], source[inside], target[inside]
+    if len(rows) == 0:
+        return result
+    template = here.windows(source, np.broadcast_to(np.eye(2), (len(rows), 2, 2)), COMPARED_PX)
+    rotation = there_from_here[:2, :2]
+    rotation = rotation / np.sqrt(max(abs(np.linalg.det(rotation)), 1e-12))
+    steps = (size * there.scale[1] / here.scale[1])[:, None, None] * rotation
+    area = there.windows(target, steps, _SEARCHED_PX)
+    flat = template.reshape(len(rows), -1)
+    correlation = largest_correlation(normalised(flat), area)
+    contrast = flat.std(axis=1) > _MIN_CONTRAST
+    result[rows[contrast]] = correlation[contrast]
+    return result
+
+
+def _shift(landmarks: MergedLandmarks, rows: Ints, there: _View, motion: Floats) -> Floats:
+    """(n,) pixels by which a landmark moves in the other image if its depth is wrong."""
+    camera = there.camera
+    depth = np.minimum(2.0 * landmarks.sigma[rows], 0.9)
+    ends = []
+    for factor in (1.0 + depth, 1.0 - depth):
+        moved = (landmarks.xyz[rows] * factor[:, None]) @ motion[:3, :3].T + motion[:3, 3]
+        z = np.maximum(moved[:, 2], 1e-9)
+        ends.append(np.stack([camera.fx * moved[:, 0] / z, camera.fy * moved[:, 1] / z], axis=1))
+    return np.asarray(0.5 * np.linalg.norm((ends[0] - ends[1]) * there.scale, axis=1))

@@ -1,0 +1,206 @@
+"""Markers in a map file, and where they are in its worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.transforms import quat_xyzw_from_rotation, transform_points
+from vo.base.types import Floats
+from vo.engine.geometry import sim3
+from vo.engine.markers.dictionaries import known_dictionaries, marker_count, smallest_containing
+from vo.engine.markers.plane_pose import square_points
+from vo.engine.places.map_checks import MAX_NUMBER, check_poses, listed, text
+from vo.engine.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
+
+MARKERS_VERSION = 1
+_MIN_LENGTH_M, _MAX_LENGTH_M = 0.001, 5.0
+_MAX_VARIANCE = 1e6
+_ROUNDING = 1e-9  # of the largest element of a covariance
+_ROW = np.dtype(
+    [
+        ("key", "<i8", 2),
+        ("id", "<i8"),
+        ("dictionary", "<i8"),
+        ("length_m", "<f8"),
+        ("cam_from_marker", "<f8", (4, 4)),
+        ("scale", "<f8"),
+        ("covariance", "<f8", (7, 7)),
+        ("keyframes", "<i8"),
+    ]
+)
+
+
+def encode_markers(markers: Sequence[MarkerVisit]) -> tuple[dict[str, Any], bytes]:
+    """What the index of a map says about its markers, and their rows."""
+    names = sorted({each.dictionary for each in markers})
+    rows = [
+        (
+            each.key,
+            each.id,
+            names.index(each.dictionary),
+            each.length_m,
+            sim3.rigid_part(each.cam_from_marker),
+            float(sim3.scale_of(each.cam_from_marker)),
+            each.covariance,
+            each.keyframes,
+        )
+        for each in markers
+    ]
+    return {"version": MARKERS_VERSION, "dictionaries": names}, np.array(rows, _ROW).tobytes()
+
+
+def decode_markers(
+    section: dict[str, Any], data: bytes, keys: Collection[PlaceKey]
+) -> tuple[MarkerVisit, ...]:
+    """The markers of a map.
+
+    Args:
+        section: what its index says about them.
+        data: their rows.
+        keys: keyframes of the map.
+
+    Raises:
+        ValueError: they cannot be markers of this map.
+        KeyError, TypeError: something is missing, or of another type.
+    """
+    names = [text(name) for name in listed(section["dictionaries"])]
+    if any(name not in known_dictionaries() for name in names):
+        raise ValueError("a dictionary of markers is unknown")
+    rows = np.frombuffer(data, _ROW)
+    check_poses(rows["cam_from_marker"], rows["scale"])
+    return tuple(_decoded(row, names, keys) for row in rows)
+
+
+def _decoded(row: Any, names: Sequence[str], keys: Collection[PlaceKey]) -> MarkerVisit:
+    key, which, number = PlaceKey(*row["key"].tolist()), int(row["dictionary"]), int(row["id"])
+    if key not in keys:
+        raise ValueError("a marker is relative to a keyframe that is not in the map")
+    if not 0 <= which < len(names) or not 0 <= number < marker_count(names[which]):
+        raise ValueError("the number of a marker is impossible")
+    length_m, keyframes = float(row["length_m"]), int(row["keyframes"])
+    if not _MIN_LENGTH_M <= length_m <= _MAX_LENGTH_M or not 1 <= keyframes <= MAX_NUMBER:
+        raise ValueError("the side of a marker is impossible")
+    covariance = row["covariance"].copy()
+    if not (np.abs(covariance) < _MAX_VARIANCE).all():
+        raise ValueError("the covariance of a marker is none")
+    rounding = _ROUNDING * np.abs(covariance).max()
+    is_symmetric = np.abs(covariance - covariance.T).max() <= rounding
+    if not is_symmetric or np.linalg.eigvalsh(covariance).min() < -rounding:
+        raise ValueError("the covariance of a marker is none")
+    pose = sim3.similarity(row["cam_from_marker"], row["scale"])
+    return MarkerVisit(key, number, names[which], length_m, pose, covariance, keyframes)
+
+
+def at_keyframes(
+    markers: Iterable[MarkerVisit], placed: PlacedKeyframes, keys: Collection[PlaceKey]
+) -> list[MarkerVisit]:
+    """Markers relative to keyframes of a map, if need be to others than those of their visits.
+
+    Args:
+        markers: relative to keyframes that are placed; others are left out.
+        placed: where keyframes are.
+        keys: those of the map.
+    """
+    row_of = {key: row for row, key in enumerate(placed.keys)}
+    world_from = sim3.similarity(placed.world_from_cam, placed.scale)
+    found = []
+    for each in markers:
+        row = row_of.get(each.key)
+        near = None if row is None else _nearest(row, placed, keys)
+        if row is None or near is None:
+            continue
+        pose = each.cam_from_marker
+        if near != row:  # the nearest one of the same path: what lies between them is odometry
+            pose = sim3.inverse(world_from[near]) @ world_from[row] @ pose
+        found.append(each._replace(key=placed.keys[near], cam_from_marker=pose))
+    return found
+
+
+def _nearest(row: int, placed: PlacedKeyframes, keys: Collection[PlaceKey]) -> int | None:
+    """Row of the nearest keyframe in time that is in a map, of the same session and world."""
+    session, keyframe = placed.keys[row]
+    if placed.keys[row] in keys:
+        return row
+    beside = [
+        (abs(key.keyframe - keyframe), other)
+        for other, key in enumerate(placed.keys)
+        if key.session == session and key in keys and placed.world[other] == placed.world[row]
+    ]
+    return min(beside)[1] if beside else None
+
+
+def listed_markers(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[dict[str, Any]]:
+    """Where each marker is in each world, by the visit that is the most certain one.
+
+    Positions and `sigma_m` are in the unit of the world, and in metres by the sides of markers.
+    """
+    in_world = _best_visits(markers, placed)
+    names = {
+        name: smallest_containing(name, [each.id for each in markers if each.dictionary == name])
+        for name in sorted({each.dictionary for each in markers})
+    }
+    return [
+        {
+            "id": each.marker.id,
+            "dictionary": names[each.marker.dictionary],
+            "length_m": each.marker.length_m,
+            "world": each.world,
+            "position": each.world_from_marker[:3, 3].tolist(),
+            "quat_xyzw": quat_xyzw_from_rotation(
+                sim3.rigid_part(each.world_from_marker)[:3, :3]
+            ).tolist(),
+            "sigma_m": _sigma_m(each.marker),
+            "visits": each.visits,
+        }
+        for each in in_world
+    ]
+
+
+def marker_corners(markers: Sequence[MarkerVisit], placed: PlacedKeyframes, world: int) -> Floats:
+    """(n, 3) corners of the markers of a world."""
+    corners = [
+        transform_points(each.world_from_marker, square_points(each.marker.length_m))
+        for each in _best_visits(markers, placed)
+        if each.world == world
+    ]
+    return np.concatenate([np.zeros((0, 3)), *corners])
+
+
+class _InWorld(NamedTuple):
+    """A marker in a world, by the visit that is the most certain one.
+
+    Attributes:
+        world: number of the world.
+        marker: relative to its keyframe.
+        world_from_marker: (4, 4) similarity from metres to the unit of the world.
+        visits: number of visits.
+    """
+
+    world: int
+    marker: MarkerVisit
+    world_from_marker: Floats
+    visits: int
+
+
+def _best_visits(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[_InWorld]:
+    """Each marker in each world, by worlds, dictionaries and ids."""
+    row_of = {key: row for row, key in enumerate(placed.keys)}
+    world_from = sim3.similarity(placed.world_from_cam, placed.scale)
+    visits: dict[tuple[int, str, int], list[MarkerVisit]] = {}
+    for each in markers:
+        world = int(placed.world[row_of[each.key]])
+        visits.setdefault((world, each.dictionary, each.id), []).append(each)
+    found = []
+    for (world, _, _), group in sorted(visits.items()):
+        best = min(group, key=_sigma_m)
+        pose = world_from[row_of[best.key]] @ best.cam_from_marker
+        found.append(_InWorld(world, best, pose, len(group)))
+    return found
+
+
+def _sigma_m(visit: MarkerVisit) -> float:
+    """Standard deviation of the position relative to the keyframe, all axes together."""
+    return float(np.sqrt(max(np.trace(visit.covariance[3:6, 3:6]), 0.0)))

@@ -1,0 +1,343 @@
+"""Relation of two keyframes from pairs of landmarks: by random samples, then least squares."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.compiling.function import NO_REFCOUNT, compiled
+from vo.base.geometry.projection import MIN_DEPTH, Intrinsics, project, to_camera
+from vo.base.types import Bools, Floats
+from vo.engine.geometry import sim3
+
+_SAMPLE_RATIO, _MIN_SAMPLE_PX = 0.01, 4.0  # threshold of samples, ratio of the image width
+_MIN_AREA = 1e-3  # of the triangle of a sample, relative to its longest side squared
+_HUBER = 2.0
+_ITERATIONS = 10
+_MAX_LOG_SCALE = 5.0  # beyond, the pairs determine no scale
+_CONVERGED = 1e-4  # squared Mahalanobis length of a step
+_DEPTH_SIGMA = 0.05  # of the scale by the depths in both keyframes
+
+
+class LandmarkPairs(NamedTuple):
+    """N landmarks of an earlier keyframe and the same ones of a later keyframe.
+
+    Attributes:
+        earlier: (N, 3) in the frame of the earlier keyframe.
+        later: (N, 3) in the frame of the later one.
+        earlier_xy: (N, 2) pixels in the earlier image.
+        later_xy: (N, 2) pixels in the later image.
+        earlier_sigma: (N,) standard deviations of the depths of `earlier`, relative.
+        later_sigma: (N,) those of `later`.
+        sigma_px: (N,) standard deviations of the pixels.
+    """
+
+    earlier: Floats
+    later: Floats
+    earlier_xy: Floats
+    later_xy: Floats
+    earlier_sigma: Floats
+    later_sigma: Floats
+    sigma_px: Floats
+
+    def select(self, chosen: Bools) -> LandmarkPairs:
+        """Some of the pairs."""
+        return LandmarkPairs(*(field[chosen] for field in self))
+
+
+class Relation(NamedTuple):
+    """Relation of two keyframes.
+
+    Attributes:
+        earlier_from_later: (4, 4) similarity.
+        information: (7, 7) of the tangent in the frame of the later keyframe.
+    """
+
+    earlier_from_later: Floats
+    information: Floats
+
+
+def sample_relation(
+    pairs: LandmarkPairs,
+    cameras: tuple[Intrinsics, Intrinsics],
+    width: int,
+    *,
+    with_scale: bool,
+    seed: int,
+    samples: int = 500,
+) -> tuple[Floats, Bools]:
+    """The relation, of random triples of pairs, that most pairs agree with in both images.
+
+    Args:
+        pairs: the pairs, some of which are wrong.
+        cameras: of the earlier and the later keyframe.
+        width: of the later image, of which 1 % is the maximum error, but at least 4 pixels.
+        with_scale: whether the scales may differ.
+        seed: of the samples.
+        samples: number of triples.
+
+    Returns:
+        earlier_from_later (4, 4), and the pairs (N,) that agree.
+    """
+    count = len(pairs.earlier)
+    threshold_px = max(_SAMPLE_RATIO * width, _MIN_SAMPLE_PX)
+    rng = np.random.default_rng(seed)
+    triples = (
+        np.argsort(rng.random((samples, count)), axis=1)[:, :3]
+        if count < 64
+        else rng.integers(0, count, (samples, 3))
+    )
+    relations = _of_triples(pairs.earlier[triples], pairs.later[triples], with_scale)
+    if len(relations) == 0:
+        return np.eye(4), np.zeros(count, dtype=bool)
+    back = sim3.inverse(relations)
+    earlier, later = np.ascontiguousarray(pairs.earlier), np.ascontiguousarray(pairs.later)
+    seen = np.ascontiguousarray(pairs.earlier_xy), np.ascontiguousarray(pairs.later_xy)
+    first, second = cameras
+    best = _best_of(relations, back, earlier, later, seen[0], seen[1], first, second, threshold_px)
+    return relations[best], _close_to(
+        relations[best], back[best], earlier, later, seen[0], seen[1], first, second, threshold_px
+    )
+
+
+@compiled
+def _best_of(relations, back, earlier, later, earlier_xy, later_xy, camera_e, camera_l, limit):  # type: ignore[no-untyped-def]
+    """Index of the relation (K, 4, 4) that most pairs agree with, the first of equals."""
+    best, most = 0, -1
+    for k in range(len(relations)):
+        count = 0
+        for n in range(len(earlier)):
+            if count + len(earlier) - n <= most:
+                break
+            if _is_close(relations[k], later[n], earlier_xy[n], camera_e, limit) and _is_close(
+                back[k], earlier[n], later_xy[n], camera_l, limit
+            ):
+                count += 1
+        if count > most:
+            best, most = k, count
+    return best
+
+
+@compiled
+def _close_to(relation, back, earlier, later, earlier_xy, later_xy, camera_e, camera_l, limit):  # type: ignore[no-untyped-def]
+    """(N,) pairs that agree with a relation."""
+    result = np.empty(len(earlier), dtype=np.bool_)
+    for n in range(len(earlier)):
+        result[n] = _is_close(relation, later[n], earlier_xy[n], camera_e, limit) and _is_close(
+            back, earlier[n], later_xy[n], camera_l, limit
+        )
+    return result
+
+
+@compiled(**NO_REFCOUNT)
+def _is_close(transform, point, xy, camera, limit):  # type: ignore[no-untyped-def]
+    """Whether a moved point is projected within `limit` of a pixel."""
+    x, y, z = to_camera(transform, point[0], point[1], point[2])
+    if z < MIN_DEPTH:
+        return False
+    u, v = project(camera, x, y, z)
+    du, dv = u - xy[0], v - xy[1]
+    return du * du + dv * dv < limit * limit
+
+
+def _of_triples(earlier: Floats, later: Floats, with_scale: bool) -> Floats:
+    """(k, 4, 4) similarities of triples of points (K, 3, 3), without degenerate ones."""
+    frame_e, area_e, side_e = _triad(earlier)
+    frame_l, area_l, side_l = _triad(later)
+    good = (area_e > _MIN_AREA * side_e**2) & (area_l > _MIN_AREA * side_l**2)
+    ratio = side_e[good] / side_l[good]
+    if with_scale:
+        scale = ratio
+    else:
+        scale = np.ones(len(ratio))
+        alike = (ratio > 0.7) & (ratio < 1.0 / 0.7)
+        good[good] = alike
+        scale = scale[alike]
+    relations = np.zeros((len(scale), 4, 4))
+    rotation = frame_e[good] @ np.swapaxes(frame_l[good], 1, 2)
+    relations[:, :3, :3] = scale[:, None, None] * rotation
+    centre = later[good].mean(axis=1)
+    relations[:, :3, 3] = (
+        earlier[good].mean(axis=1) - (relations[:, :3, :3] @ centre[:, :, None])[:, :, 0]
+    )
+    relations[:, 3, 3] = 1.0
+    return relations
+
+
+def _triad(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Orthonormal frames (K, 3, 3) of triangles, their areas (doubled) and sizes (K,).
+
+    Source: Black, "A passive system for determining the attitude of a satellite", 1964 (TRIAD).
+    """
+    first, second = points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]
+    normal = np.cross(first, second)
+    area = np.linalg.norm(normal, axis=1)
+    length = np.linalg.norm(first, axis=1)
+    x = first / np.maximum(length, 1e-12)[:, None]
+    z = normal / np.maximum(area, 1e-12)[:, None]
+    frame = np.stack([x, np.cross(z, x), z], axis=2)
+    spread = points - points.mean(axis=1, keepdims=True)
+    return frame, area, np.sqrt((spread**2).sum(axis=(1, 2)))
+
+
+def refine_relation(
+    start: Floats,
+    pairs: LandmarkPairs,
+    cameras: tuple[Intrinsics, Intrinsics],
+    *,
+    with_scale: bool,
+) -> Relation:
+    """Minimise Huber-weighted reprojection errors in both images over the relation.
+
+    The uncertainty of each landmark's depth is part of its error. Two keyframes at one point have
+    the same image at any scale, so the ratio of depths is a weak observation of it. A relation
+    whose scale diverges has no information.
+
+    Args:
+        start: (4, 4) first guess of earlier_from_later.
+        pairs: pairs that mostly agree with it.
+        cameras: of the earlier and the later keyframe.
+        with_scale: whether the scales may differ.
+    """
+    relation, size = start.copy(), 7 if with_scale else 6
+    for _ in range(_ITERATIONS):
+        normal, right, _ = _normal_equations(relation, pairs, cameras, np.inf)
+        normal[6, 6] += 1.0 / _DEPTH_SIGMA**2
+        right[6] -= _depth_ratio(relation, pairs) / _DEPTH_SIGMA**2
+        step = np.zeros(7)
+        damped = normal[:size, :size] + 1e-9 * np.diag(np.diag(normal)[:size] + 1e-9)
+        step[:size] = np.linalg.solve(damped, right[:size])
+        step[6] = np.clip(step[6], -1.0, 1.0)
+        relation = relation @ sim3.retract(step)
+        if abs(np.log(sim3.scale_of(relation))) > _MAX_LOG_SCALE:
+            return Relation(relation, np.zeros((7, 7)))
+        if step[:size] @ damped @ step[:size] < _CONVERGED:
+            break
+    normal, _, _ = _normal_equations(relation, pairs, cameras, 9.0)
+    normal[6, 6] += 1.0 / _DEPTH_SIGMA**2
+    return Relation(relation, normal)
+
+
+def _depth_ratio(relation: Floats, pairs: LandmarkPairs) -> float:
+    """Logarithm of the ratio of distances from the earlier camera, the median of all pairs."""
+    moved = pairs.later @ relation[:3, :3].T + relation[:3, 3]
+    ratio = np.linalg.norm(moved, axis=1) / np.linalg.norm(pairs.earlier, axis=1)
+    return float(np.log(np.median(ratio)))
+
+
+def pair_errors(
+    relation: Floats, pairs: LandmarkPairs, cameras: tuple[Intrinsics, Intrinsics]
+) -> Floats:
+    """(N,) squared errors of the pairs in standard deviations, the larger of both images."""
+    return _normal_equations(relation, pairs, cameras, np.inf)[2]
+
+
+def _normal_equations(
+    relation: Floats,
+    pairs: LandmarkPairs,
+    cameras: tuple[Intrinsics, Intrinsics],
+    limit: float,
+) -> tuple[Floats, Floats, Floats]:
+    """J^T W J, -J^T W e, and squared errors, of both images.
+
+    Errors of `limit` or more, squared, have no weight.
+    """
+    back = sim3.inverse(relation)
+    # relation @ exp(xi) moves p in the later frame by r x p + t + l p, and back(p) by the opposite.
+    forward = _one_way(
+        _Moved(
+            *(relation, pairs.later, pairs.later, pairs.earlier_xy, pairs.later_sigma),
+            *(pairs.sigma_px, cameras[0], relation[:3, :3]),
+        ),
+        limit,
+    )
+    at_later = pairs.earlier @ back[:3, :3].T + back[:3, 3]
+    backward = _one_way(
+        _Moved(
+            *(back, pairs.earlier, at_later, pairs.later_xy, pairs.earlier_sigma),
+            *(pairs.sigma_px, cameras[1], -np.eye(3)),
+        ),
+        limit,
+    )
+    return (
+        forward[0] + backward[0],
+        forward[1] + backward[1],
+        np.maximum(forward[2], backward[2]),
+    )
+
+
+class _Moved(NamedTuple):
+    """Points that are moved to the other camera, and where it observes them.
+
+    Attributes:
+        transform: (4, 4) of the points.
+        points: (N, 3).
+        tangent_at: (N, 3) where the tangent acts, in the later frame.
+        xy: (N, 2) observed pixels.
+        sigma: (N,) of the depths of the points, relative.
+        sigma_px: (N,) of the pixels.
+        camera: of the image.
+        by_motion: (3, 3) derivative of a moved point by a motion in the later frame.
+    """
+
+    transform: Floats
+    points: Floats
+    tangent_at: Floats
+    xy: Floats
+    sigma: Floats
+    sigma_px: Floats
+    camera: Intrinsics
+    by_motion: Floats
+
+
+def _one_way(moved: _Moved, limit: float) -> tuple[Floats, Floats, Floats]:
+    """Normal equations of the projections of moved points, and squared errors (N,).
+
+    Squared errors of `limit` or more have no weight.
+    """
+    error, by_point, ok = _projected(moved)
+    # Error of a depth moves the point along its ray, and its projection by `along`.
+    ray = (moved.points @ moved.transform[:3, :3].T * moved.sigma[:, None])[:, :, None]
+    along = (by_point @ ray)[:, :, 0]
+    variance = moved.sigma_px**2
+    inner = variance + (along**2).sum(axis=1)
+    weight = (np.eye(2) - along[:, :, None] * along[:, None, :] / inner[:, None, None]) / (
+        variance[:, None, None]
+    )
+    squared = np.where(ok, (error * (weight @ error[:, :, None])[:, :, 0]).sum(axis=1), np.inf)
+    robust = np.where(
+        squared < limit, np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squared, 1e-12))), 0.0
+    )
+    robust = np.where(ok, robust, 0.0)
+    jacobian = by_point @ (moved.by_motion @ _tangents(moved.tangent_at))
+    weighted = (weight * robust[:, None, None]) @ jacobian
+    rows = weighted.reshape(-1, 7)
+    return rows.T @ jacobian.reshape(-1, 7), -rows.T @ error.reshape(-1), squared
+
+
+def _projected(moved: _Moved) -> tuple[Floats, Floats, Bools]:
+    """Errors (N, 2) in pixels, their derivatives (N, 2, 3) by the point, and valid points (N,)."""
+    camera = moved.camera
+    p = moved.points @ moved.transform[:3, :3].T + moved.transform[:3, 3]
+    ok = p[:, 2] > MIN_DEPTH
+    z = np.where(ok, p[:, 2], 1.0)
+    u, v = p[:, 0] / z, p[:, 1] / z
+    error = np.stack(
+        [camera.fx * u + camera.cx - moved.xy[:, 0], camera.fy * v + camera.cy - moved.xy[:, 1]], 1
+    )
+    by_point = np.zeros((len(p), 2, 3))
+    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * u / z
+    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * v / z
+    return error, by_point, ok
+
+
+def _tangents(points: Floats) -> Floats:
+    """(N, 3, 7) derivatives of points (N, 3) by rotation, translation and logarithm of scale."""
+    by = np.zeros((len(points), 3, 7))
+    x, y, z = points[:, 0], points[:, 1], points[:, 2]
+    by[:, 0, 1], by[:, 0, 2], by[:, 1, 2] = z, -y, x
+    by[:, 1, 0], by[:, 2, 0], by[:, 2, 1] = -z, y, -x
+    by[:, 0, 3] = by[:, 1, 4] = by[:, 2, 5] = 1.0
+    by[:, :, 6] = points
+    return by

@@ -1,0 +1,279 @@
+"""Vocabulary of binary words: a tree of descriptors, and bags of words with tf-idf weights.
+
+A descriptor goes down the tree, at each node to the nearest child; the leaf that it reaches is its
+word. An image becomes a sparse vector of weights, tf-idf with the sum 1, and two images are
+compared by the L1 score s = 1 - |v - w|_1 / 2, which for such vectors is the sum of min(v, w).
+
+Source: Gálvez-López and Tardós, "Bags of binary words for fast place recognition in image
+sequences", IEEE Transactions on Robotics 28(5), 2012 (DBoW2), sec. III and IV.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.compiling.function import compiled
+from vo.base.errors import InputError
+from vo.base.types import Bytes, Descriptors, Floats32, Ints
+from vo.engine.frontend.hamming_kernels import hamming
+
+DESCRIPTOR_BYTES = 32  # 256 bits, as ORB
+BRANCHES = 10  # k of DBoW2
+DEPTH = 4  # L of DBoW2
+
+Words = NDArray[np.int32]
+Packed = NDArray[np.uint64]
+
+
+class Bag(NamedTuple):
+    """Words of an image; rows belong together.
+
+    Attributes:
+        word: (n,) int32, increasing.
+        weight: (n,) float32, positive, with the sum 1.
+    """
+
+    word: Words
+    weight: Floats32
+
+
+@dataclass(frozen=True, eq=False)
+class Vocabulary:
+    """A tree of binary descriptors; nodes in breadth-first order, without the root.
+
+    Attributes:
+        descriptor: (n, 32) uint8, of each node.
+        children: (n + 1,) int64 number of children of the root and of each node; 0 at a word.
+        images: number of images that it was trained on.
+        images_with: (w,) int64 in how many of them each word was found, by word.
+    """
+
+    descriptor: Bytes
+    children: Ints
+    images: int
+    images_with: Ints
+
+    @cached_property
+    def id(self) -> str:
+        """Digest of all that bags depend on; bags of different vocabularies do not compare."""
+        digest = hashlib.sha256(self.descriptor.tobytes())
+        for part in (self.children, self.images_with, np.array([self.images])):
+            digest.update(part.astype("<i8").tobytes())
+        return digest.hexdigest()[:16]
+
+    @cached_property
+    def idf(self) -> Floats32:
+        """Weight of each word, ln(N / n) (sec. III-A); 0 for one that every image has."""
+        ratio = self.images / np.maximum(self.images_with, 1)
+        return np.log(np.maximum(ratio, 1.0)).astype(np.float32)
+
+    @property
+    def words(self) -> int:
+        """Number of words."""
+        return len(self.images_with)
+
+    def words_of(self, descriptor: Descriptors) -> Words:
+        """The word of each of (N, 32) descriptors."""
+        return self._tree[3][self.nodes_of(descriptor, len(self.children))]
+
+    def nodes_of(self, descriptor: Descriptors, depth: int) -> Ints:
+        """The node below the root, of that depth or a word, that each of (N, 32) reaches."""
+        node, first, children, _ = self._tree
+        nodes: Ints = _nodes(packed(descriptor), node, first, children, depth)
+        return nodes
+
+    def bag(self, descriptor: Descriptors) -> Bag:
+        """Bag of words of (N, 32) descriptors; empty without descriptors."""
+        if not len(descriptor):
+            return Bag(np.zeros(0, np.int32), np.zeros(0, np.float32))
+        count = np.bincount(self.words_of(descriptor), minlength=self.words)
+        word = np.flatnonzero(count).astype(np.int32)  # faster than to sort the words
+        weight = count[word].astype(np.float32) * self.idf[word]
+        kept = np.flatnonzero(weight > 0)
+        word, weight = word[kept], weight[kept]
+        return Bag(word, weight / max(weight.sum(dtype=np.float32), np.float32(1e-30)))
+
+    @cached_property
+    def _tree(self) -> tuple[Packed, Ints, Ints, Words]:
+        """Packed descriptors, first child, number of children, and word, all by node."""
+        first = np.concatenate([[0], np.cumsum(self.children)[:-1]])
+        word = np.full(len(self.children), -1, np.int32)
+        leaves = np.flatnonzero(self.children == 0)
+        word[leaves] = np.arange(len(leaves), dtype=np.int32)
+        node = packed(self.descriptor).copy()  # compiled code is not kept for read-only arrays
+        return node, first, np.ascontiguousarray(self.children), word
+
+
+def similarity(a: Bag, b: Bag) -> float:
+    """L1 score of two bags, 0 to 1 (eq. 3)."""
+    _, at_a, at_b = np.intersect1d(a.word, b.word, assume_unique=True, return_indices=True)
+    return float(np.minimum(a.weight[at_a], b.weight[at_b]).sum(dtype=np.float64))
+
+
+def packed(descriptor: Descriptors) -> Packed:
+    """(N, 4) words of 64 bits of (N, 32) uint8 descriptors.
+
+    Raises:
+        InputError: they have another layout.
+    """
+    if descriptor.ndim != 2 or descriptor.shape[1] != DESCRIPTOR_BYTES or descriptor.dtype != "u1":
+        raise InputError(
+            f"descriptors are {descriptor.shape[1:]} of {descriptor.dtype}; a vocabulary takes "
+            f"binary ones of {DESCRIPTOR_BYTES} bytes, such as those of ORB"
+        )
+    return np.ascontiguousarray(descriptor).view(np.uint64)
+
+
+def train(
+    images: Sequence[Bytes], seed: int = 0, branches: int = BRANCHES, depth: int = DEPTH
+) -> Vocabulary:
+    """Make a vocabulary of the descriptors of many images.
+
+    Args:
+        images: (N, 32) uint8 descriptors of each image.
+        seed: of the choice of the first centres.
+        branches: children of a node.
+        depth: levels below the root.
+
+    Raises:
+        InputError: there are fewer descriptors than children of a node.
+    """
+    everything = packed(np.concatenate(images)) if images else np.zeros((0, 4), np.uint64)
+    if len(everything) < branches:
+        raise InputError(
+            f"{len(everything)} features in {len(images)} images; a vocabulary needs at least "
+            f"{branches}, and good ones need hundreds of thousands"
+        )
+    random = np.random.default_rng(seed)
+    level = [np.arange(len(everything))]
+    centres: list[Packed] = []
+    children: list[int] = []
+    for remaining in range(depth, -1, -1):
+        below: list[Ints] = []
+        for rows in level:
+            parts = _split(everything, rows, branches, random) if remaining else []
+            children.append(len(parts))
+            for centre, members in parts:
+                centres.append(centre)
+                below.append(members)
+        level = below
+    descriptor = np.array(centres, np.uint64).view(np.uint8)
+    counts = np.array(children, np.int64)
+    tree = Vocabulary(descriptor, counts, len(images), np.zeros(0, np.int64))
+    images_with = np.zeros(int((counts == 0).sum()), np.int64)
+    for image in images:
+        if len(image):
+            images_with[np.unique(tree.words_of(image))] += 1
+    return Vocabulary(descriptor, counts, len(images), images_with)
+
+
+_MAX_ROUNDS = 12  # of k-majority; later ones move a few per mille of the descriptors
+
+
+def _split(
+    everything: Packed, rows: Ints, branches: int, random: np.random.Generator
+) -> list[tuple[Packed, Ints]]:
+    """Clusters of some descriptors: their centres and rows; none if all are the same.
+
+    Source: Grana et al., "A fast approach for integrating ORB descriptors in the bag of words
+    model", SPIE 2013 (k-majority); Arthur and Vassilvitskii, "k-means++", SODA 2007.
+    """
+    members = everything[rows]
+    centres = _first_centres(members, branches, random)
+    if len(centres) < 2:
+        return []
+    nearest = _nearest(members, centres)
+    for _ in range(_MAX_ROUNDS):
+        centres = _majorities(members, nearest, centres)
+        before, nearest = nearest, _nearest(members, centres)
+        if np.array_equal(before, nearest):
+            break
+    clusters = [(c, rows[nearest == n]) for n, c in enumerate(centres)]
+    return [(centre, inside) for centre, inside in clusters if len(inside)]
+
+
+def _first_centres(members: Packed, branches: int, random: np.random.Generator) -> Packed:
+    """Centres far from each other, by k-means++; fewer if there are fewer different ones."""
+    chosen = [int(random.integers(len(members)))]
+    distance = _distances(members, members[chosen[0]])
+    while len(chosen) < branches:
+        cumulative = np.cumsum(distance * distance)
+        if cumulative[-1] == 0:
+            break
+        at = np.searchsorted(cumulative, random.random() * cumulative[-1], side="right")
+        chosen.append(int(min(at, len(members) - 1)))
+        distance = np.minimum(distance, _distances(members, members[chosen[-1]]))
+    return members[chosen]
+
+
+@compiled
+def _nodes(descriptor, node, first, children, depth):  # type: ignore[no-untyped-def]
+    """Node that each descriptor reaches after `depth` steps at most; 0 is the root."""
+    result = np.empty(len(descriptor), dtype=np.int64)
+    for i in range(len(descriptor)):
+        at, steps = 0, 0
+        while children[at] > 0 and steps < depth:
+            begin = first[at]
+            best, least = begin, hamming(descriptor[i], node[begin])
+            for child in range(begin + 1, begin + children[at]):
+                distance = hamming(descriptor[i], node[child])
+                if distance < least:
+                    best, least = child, distance
+            at = best + 1
+            steps += 1
+        result[i] = at
+    return result
+
+
+@compiled
+def _nearest(members, centres):  # type: ignore[no-untyped-def]
+    """The nearest centre of each descriptor; the first of equally near ones."""
+    result = np.empty(len(members), dtype=np.int64)
+    for i in range(len(members)):
+        best, least = 0, hamming(members[i], centres[0])
+        for c in range(1, len(centres)):
+            distance = hamming(members[i], centres[c])
+            if distance < least:
+                best, least = c, distance
+        result[i] = best
+    return result
+
+
+@compiled
+def _distances(members, centre):  # type: ignore[no-untyped-def]
+    """Hamming distance of each descriptor from one."""
+    result = np.empty(len(members), dtype=np.float64)
+    for i in range(len(members)):
+        result[i] = hamming(members[i], centre)
+    return result
+
+
+@compiled
+def _majorities(members, nearest, centres):  # type: ignore[no-untyped-def]
+    """Of each cluster the bits that most of its members have; an empty one keeps its centre."""
+    votes = np.zeros((len(centres), 256), dtype=np.int64)
+    size = np.zeros(len(centres), dtype=np.int64)
+    one = np.uint64(1)
+    for i in range(len(members)):
+        size[nearest[i]] += 1
+        for bit in range(256):
+            word = members[i, bit >> 6] >> np.uint64(bit & 63)
+            votes[nearest[i], bit] += np.int64(word & one)
+    result = centres.copy()
+    for c in range(len(centres)):
+        if size[c] == 0:
+            continue
+        for w in range(4):
+            value = np.uint64(0)
+            for bit in range(64):
+                if 2 * votes[c, 64 * w + bit] > size[c]:
+                    value |= one << np.uint64(bit)
+            result[c, w] = value
+    return result

@@ -1,0 +1,355 @@
+"""The stages of the odometry, built from a rig and the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from subprocess import Popen
+from typing import TYPE_CHECKING, NamedTuple
+
+from vo.base.config import Config
+from vo.base.errors import ConfigError
+from vo.base.geometry.rectification import RectifiedRig, rectified_rig
+from vo.base.geometry.transforms import inverse
+from vo.base.noise_classes import NOISE_CLASSES
+from vo.base.scheduling import available_cores
+from vo.base.stopwatch import Stopwatch
+from vo.base.types import ImuNoise, Rig
+from vo.engine.backend.gap_factors import GapFactors
+from vo.engine.backend.optimizer import WindowOptimizer, make_optimizer
+from vo.engine.backend.sliding_window import SlidingWindow
+from vo.engine.backend.window_problem import FactorSource
+from vo.engine.frontend.contracts import DescriptorFormat, FeatureExtractor, Matcher
+from vo.engine.frontend.frontend import Frontend, make_frontend
+from vo.engine.frontend.orb import OrbExtractor
+from vo.engine.frontend.pair_check import PairCheck
+from vo.engine.frontend.pair_matching import PairMatcher
+from vo.engine.frontend.preprocessing import FramePreprocessor
+from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
+from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
+from vo.engine.inertial.prediction import InertialPredictor
+from vo.engine.inertial.samples import InertialSensor, RetimedSensor, SampleReader
+from vo.engine.map_creator import Initializers, MapCreator
+from vo.engine.map_updater import MapUpdater
+from vo.engine.mapping.keyframe_store import KeyframeStore
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.local_mapper import LocalMapper
+from vo.engine.placement import Placement
+from vo.engine.refinement.calibration_refiner import CalibrationRefiner
+from vo.engine.tracking.frozen_camera import FrozenCamera
+from vo.engine.tracking.inertial_motion import InertialMotion
+from vo.engine.tracking.keyframe_forecast import KeyframeForecast
+from vo.engine.tracking.keyframe_policy import KeyframePolicy
+from vo.engine.tracking.loss_policy import LossPolicy
+from vo.engine.tracking.monocular_initializer import MonocularInitializer
+from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
+from vo.engine.tracking.rescue import Kinds, Rescue
+from vo.engine.tracking.stereo_initializer import StereoInitializer
+from vo.engine.tracking.tracker import Tracker
+from vo.engine.trajectory.builder import TrajectoryBuilder
+
+if TYPE_CHECKING:
+    from vo.engine.inertial_path.alignment import InertialAlignment
+    from vo.engine.learned.xfeat import XFeatExtractor
+    from vo.engine.memory.memory import Memory
+
+
+class Components(NamedTuple):
+    """Exchangeable parts of the odometry; None for the built-in one.
+
+    Attributes:
+        extractor: extracts features; by default ORB.
+        matcher: matches features; by default by Hamming distance.
+        motion: predicts poses; by default with constant velocity.
+        keyframe_store: receives keyframes that leave the local map; by default they are dropped.
+        factor_sources: give factors of the window beside the observations, such as inertial ones.
+        inertial_sensor: gives a single camera its scale, and the direction of gravity; by default
+            none. Its extrinsics must be known.
+        inertial_noise: of that sensor, by default what it gives itself.
+    """
+
+    extractor: FeatureExtractor | None = None
+    matcher: Matcher | None = None
+    motion: MotionModel | None = None
+    keyframe_store: KeyframeStore | None = None
+    factor_sources: Sequence[FactorSource] = ()
+    inertial_sensor: InertialSensor | None = None
+    inertial_noise: ImuNoise | None = None
+
+
+BUILT_IN = Components()
+
+# With one camera, fixed keyframes that do not go to stores yet: places must be known early.
+_SETTLING = 2
+
+
+class Stages(NamedTuple):
+    """All parts of an odometry."""
+
+    preprocessor: FramePreprocessor
+    tracker: Tracker
+    frozen_camera: FrozenCamera
+    rescue: Rescue
+    creator: MapCreator
+    policy: KeyframePolicy
+    forecast: KeyframeForecast
+    loss_policy: LossPolicy
+    local_map: LocalMap
+    mapper: LocalMapper
+    updater: MapUpdater
+    window_optimizer: WindowOptimizer
+    trajectory: TrajectoryBuilder
+    placement: Placement
+
+
+def make_stages(
+    rig: Rig,
+    config: Config,
+    components: Components,
+    stopwatch: Stopwatch,
+    optimizer_process: Popen[bytes] | None = None,
+) -> Stages:
+    """Build all stages.
+
+    Args:
+        rig: the cameras, as recorded.
+        config: all settings.
+        components: parts to be used instead of the built-in ones.
+        stopwatch: measures the stages.
+        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
+
+    Raises:
+        CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
+    """
+    rectified = rectified_rig(_with_readout(rig, config.camera.readout_s))
+    masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
+    threads = config.threads or available_cores()
+    second = _second_extractor(config, components)
+    frontend = _frontend(config, components, second)
+    trajectory = TrajectoryBuilder(rectified.cam0_from_rectified)
+    descriptors = frontend.extractor.descriptor_format
+    sensor = _sensor(components)
+    predictor = _predictor(sensor, components.inertial_noise, rectified)
+    inertial = _inertial(sensor, predictor, rectified, trajectory, stopwatch)
+    memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
+    stores = [each for each in (components.keyframe_store, memory) if each is not None]
+    local_map = _local_map(rectified, descriptors, stores, config)
+    mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
+    motion = components.motion or _motion(sensor, predictor, rectified)
+    optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
+    policy = _policy(config, is_metric=rig.is_metric)
+    tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
+    factors = _factors(components, motion, predictor)
+    window = _window(local_map, optimizer, config, factors, stopwatch)
+    refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
+    updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
+    kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
+    rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
+    initializers = _initializers(local_map, mapper, frontend, config, predictor)
+    return Stages(
+        _preprocessor(rectified, frontend, masks, config, threads, second),
+        tracker,
+        FrozenCamera(tracker),
+        rescue,
+        MapCreator(local_map, initializers, rescue, tracker, updater, trajectory),
+        policy,
+        KeyframeForecast(policy),
+        LossPolicy(config.tracking.recover_frames, predictor),
+        local_map,
+        mapper,
+        updater,
+        optimizer,
+        trajectory,
+        Placement(memory, inertial),
+    )
+
+
+def _with_readout(rig: Rig, readout_s: float | None) -> Rig:
+    """A rig with the readout time of the settings, where they have one."""
+    if readout_s is None:
+        return rig
+    return replace(rig, cam0=replace(rig.cam0, readout_s=readout_s))
+
+
+def _sensor(components: Components) -> RetimedSensor | None:
+    sensor = components.inertial_sensor
+    return None if sensor is None else RetimedSensor(sensor)
+
+
+def _inertial(
+    sensor: RetimedSensor | None,
+    predictor: InertialPredictor | None,
+    rig: RectifiedRig,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+) -> InertialAlignment | None:
+    if sensor is None or predictor is None:
+        return None
+    from vo.engine.inertial_path.alignment import InertialAlignment
+
+    return InertialAlignment(sensor, predictor, rig, trajectory, stopwatch)
+
+
+def _memory(
+    rig: RectifiedRig,
+    descriptors: DescriptorFormat,
+    config: Config,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+    inertial: InertialAlignment | None,
+) -> Memory | None:
+    memory = config.memory
+    if memory.loops is False or (memory.loops == "auto" and not memory.map):
+        return None
+    from vo.engine.memory.creation import make_memory
+
+    threads = config.threads or available_cores()
+    return make_memory(rig, descriptors, config, trajectory, stopwatch, threads, inertial)
+
+
+def _predictor(
+    sensor: RetimedSensor | None, noise: ImuNoise | None, rig: RectifiedRig
+) -> InertialPredictor | None:
+    """What predicts through lost frames, None without an inertial sensor."""
+    if sensor is None or sensor.cam0_from_imu is None:
+        return None
+    noise = noise or sensor.noise or NOISE_CLASSES["consumer"]
+    imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified
+    return InertialPredictor(SampleReader(sensor), noise, imu_from_cam)
+
+
+def _motion(
+    sensor: RetimedSensor | None, predictor: InertialPredictor | None, rig: RectifiedRig
+) -> MotionModel:
+    """The built-in motion model; two cameras with a global shutter need no gyroscope."""
+    if sensor is None or predictor is None:
+        return ConstantVelocity()
+    if rig.is_stereo and rig.readout_s == 0.0:
+        return InertialMotion(ConstantVelocity(), predictor)
+    from vo.engine.tracking.gyro_motion import GyroMotion
+
+    turning = GyroMotion(SampleReader(sensor), predictor.imu_from_cam)
+    return InertialMotion(turning, predictor)
+
+
+def _local_map(
+    rectified: RectifiedRig,
+    descriptors: DescriptorFormat,
+    stores: Sequence[KeyframeStore],
+    config: Config,
+) -> LocalMap:
+    size = config.smoothing.size(is_metric=rectified.is_stereo)
+    capacity = size.free + size.fixed
+    newest = capacity if rectified.is_stereo else size.free + min(size.fixed, _SETTLING)
+    sigma_px = config.stereo.sigma_disparity_px
+    return LocalMap(rectified, capacity, descriptors, stores, sigma_px, newest)
+
+
+def _policy(config: Config, *, is_metric: bool) -> KeyframePolicy:
+    keyframes = config.keyframes if is_metric else config.keyframes.in_mono()
+    return KeyframePolicy(keyframes, config.tracking.max_landmarks)
+
+
+def _window(
+    local_map: LocalMap,
+    optimizer: WindowOptimizer,
+    config: Config,
+    factor_sources: Sequence[FactorSource],
+    stopwatch: Stopwatch,
+) -> SlidingWindow:
+    return SlidingWindow(
+        local_map,
+        optimizer,
+        config.stereo.sigma_disparity_px,
+        config.smoothing,
+        stopwatch,
+        factor_sources,
+    )
+
+
+def _factors(
+    components: Components, motion: MotionModel, predictor: InertialPredictor | None
+) -> Sequence[FactorSource]:
+    """Factors of the window beside the observations."""
+    if predictor is None or not isinstance(motion, InertialMotion):
+        return components.factor_sources
+    return [*components.factor_sources, GapFactors(motion, predictor)]
+
+
+def _initializers(
+    local_map: LocalMap,
+    mapper: LocalMapper,
+    frontend: Frontend,
+    config: Config,
+    predictor: InertialPredictor | None,
+) -> Initializers:
+    turns = None if predictor is None else predictor.turns
+    by_flow = config.tracking.method == "klt"
+    parts = local_map, mapper, frontend, config.start, config.tracking.search_ratio
+    return Initializers(
+        StereoInitializer(local_map, mapper, config.start.min_points),
+        MonocularInitializer(*parts, by_flow=by_flow, turns=turns),
+        MonocularInitializer(*parts, by_flow=by_flow),
+    )
+
+
+def _second_extractor(config: Config, components: Components) -> XFeatExtractor | None:
+    """What `features.rescue` names, beside ORB."""
+    features = config.features
+    if features.rescue == "none":
+        return None
+    is_exchanged = components.extractor is not None or components.matcher is not None
+    if features.detector != "orb" or is_exchanged:
+        raise ConfigError(
+            f"features.rescue is {features.rescue}, which helps features.detector=orb alone; "
+            "leave one of them out"
+        )
+    from vo.engine.features.extractor import make_rescuer
+
+    return make_rescuer(features)
+
+
+def _frontend(config: Config, components: Components, second: FeatureExtractor | None) -> Frontend:
+    """Features and matching; with a matcher for both kinds where there are two."""
+    if second is None:
+        return _usual_frontend(config, components)
+    from vo.engine.features.kinds import MatcherOfKinds
+    from vo.engine.features.matching import make_matcher
+
+    usual = _usual_frontend(config, components)
+    matcher = MatcherOfKinds(usual.matcher, make_matcher(config.matching, second))
+    return make_frontend(config, usual.extractor, matcher)
+
+
+def _usual_frontend(config: Config, components: Components) -> Frontend:
+    features, matching = config.features, config.matching
+    is_default = features.detector == "orb" and features.descriptor in ("auto", "rbrief")
+    is_default &= matching.method == "auto" and matching.cross_check
+    extractor, matcher = components.extractor, components.matcher
+    if extractor is None and is_default:
+        return make_frontend(config, None, matcher)
+    # Imported where they are used: loading all kinds of features takes a while.
+    from vo.engine.features.extractor import make_extractor
+    from vo.engine.features.matching import make_matcher
+
+    own = None if extractor is not None else features
+    extractor = extractor or make_extractor(features)
+    return make_frontend(config, extractor, matcher or make_matcher(matching, extractor, own))
+
+
+def _preprocessor(
+    rig: RectifiedRig,
+    frontend: Frontend,
+    masks: StaticMasks,
+    config: Config,
+    threads: int,
+    second: FeatureExtractor | None,
+) -> FramePreprocessor:
+    vertical_disparity = VerticalDisparityCorrection(
+        rig, frontend.matcher, frontend.patches, config.stereo
+    )
+    matcher = PairMatcher(frontend.matcher, frontend.patches, config.stereo.max_disparity_ratio)
+    pair_check = PairCheck(rig, frontend.extractor, matcher)
+    return FramePreprocessor(
+        rig, frontend.extractor, vertical_disparity, pair_check, masks, second, threads=threads
+    )

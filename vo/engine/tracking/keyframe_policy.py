@@ -1,0 +1,94 @@
+"""Decision whether a tracked frame becomes a keyframe."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.compiling.function import compiled
+from vo.base.config import KeyframeConfig
+from vo.base.geometry.quantiles import median
+from vo.base.types import Floats
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.tracked_frame import TrackedFrame
+
+# Ratio of the landmarks in view that is tracked where tracking is easy.
+_USUAL_TRACKED_RATIO = 0.9
+# Minimum ratio of the parallax of a keyframe from which the camera counts as moving.
+_MIN_MOVING_RATIO = 0.2
+
+
+class Change(NamedTuple):
+    """Change since the last keyframe.
+
+    Attributes:
+        tracked: landmarks tracked now.
+        last_tracked: landmarks of the last keyframe, limited in rich scenes, where not all of them
+            can be tracked.
+        parallax_rad: median angle between the rays to landmarks, now and at the last keyframe.
+        elapsed_s: time since the last keyframe.
+    """
+
+    tracked: int
+    last_tracked: int
+    parallax_rad: float
+    elapsed_s: float
+
+
+class KeyframePolicy:
+    """Decides on keyframes by the landmarks that are lost, the parallax and the time.
+
+    Args:
+        config: settings, for one camera those of `KeyframeConfig.in_mono`.
+        max_landmarks: maximum number of landmarks that are tracked in a frame.
+    """
+
+    def __init__(self, config: KeyframeConfig, max_landmarks: int) -> None:
+        self._config = config
+        # Without this limit every frame of a rich scene would become a keyframe.
+        self._max_tracked = int(_USUAL_TRACKED_RATIO * max_landmarks / config.min_tracked_ratio)
+
+    def change_since_last(
+        self, local_map: LocalMap, frame: PreprocessedFrame, tracked: TrackedFrame
+    ) -> Change:
+        """Change of a tracked frame since the newest keyframe."""
+        last = local_map.keyframes[-1]
+        rows = tracked.observed.rows[tracked.inlier]
+        parallax = median_parallax(
+            local_map.xyz[rows], last.world_from_cam[:3, 3], tracked.world_from_cam[:3, 3]
+        )
+        elapsed_s = (frame.stamp_ns - last.frame.stamp_ns) * 1e-9
+        return Change(len(rows), min(len(last.landmark), self._max_tracked), parallax, elapsed_s)
+
+    def needs_keyframe(self, change: Change) -> bool:
+        """Whether a frame should become a keyframe."""
+        config = self._config
+        if change.tracked < config.min_tracked_ratio * change.last_tracked:
+            return True
+        min_parallax_rad = np.deg2rad(config.min_parallax_deg)
+        if change.parallax_rad > min_parallax_rad:
+            return True
+        is_moving = change.parallax_rad > _MIN_MOVING_RATIO * min_parallax_rad
+        is_old = change.elapsed_s >= config.max_gap_s
+        return bool(is_moving and (is_old or change.tracked < config.min_tracked))
+
+
+def median_parallax(points: Floats, first_centre: Floats, second_centre: Floats) -> float:
+    """Median angle (rad) between rays from points (N, 3) to two camera centres; 0 without any."""
+    if len(points) == 0:
+        return 0.0
+    return median(_parallaxes(np.ascontiguousarray(points), first_centre, second_centre))
+
+
+@compiled
+def _parallaxes(points, first, second):  # type: ignore[no-untyped-def]
+    angles = np.empty(len(points))
+    for n in range(len(points)):
+        ax, ay, az = points[n, 0] - first[0], points[n, 1] - first[1], points[n, 2] - first[2]
+        bx, by, bz = points[n, 0] - second[0], points[n, 1] - second[1], points[n, 2] - second[2]
+        lengths = np.sqrt(ax * ax + ay * ay + az * az) * np.sqrt(bx * bx + by * by + bz * bz)
+        cosine = (ax * bx + ay * by + az * bz) / max(lengths, 1e-12)
+        angles[n] = np.arccos(min(max(cosine, -1.0), 1.0))
+    return angles

@@ -1,0 +1,353 @@
+"""Tracking: the pose of a frame in the map.
+
+An initial pose comes from sparse image alignment, from descriptors near the predicted pose or
+anywhere, or from an essential matrix. It is refined on the patches of all landmarks in view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import StartConfig, TrackingConfig
+from vo.base.failures import Failure, FailureReason
+from vo.base.faults import Fault
+from vo.base.geometry.quantiles import median
+from vo.base.geometry.transforms import inverse, transform_points
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Floats, Ints
+from vo.engine.frontend.contracts import Circles, FeatureSet, feature_set
+from vo.engine.frontend.frontend import Frontend
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.octaves import predicted_octave
+from vo.engine.mapping.tracked_frame import TrackedFrame
+from vo.engine.tracking.essential_matrix import EssentialMatrixFallback
+from vo.engine.tracking.inertial_motion import InertialMotion, PosePrior
+from vo.engine.tracking.klt_alignment import KltAligner
+from vo.engine.tracking.landmark_alignment import LandmarkAligner
+from vo.engine.tracking.last_frame import LastFrame, last_frame
+from vo.engine.tracking.map_agreement import MapAgreement
+from vo.engine.tracking.motion_model import MotionModel
+from vo.engine.tracking.pose_estimation import PoseEstimator
+from vo.engine.tracking.rolling_shutter import RollingShutter
+from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.engine.tracking.step_check import Step, StepCheck
+from vo.engine.tracking.visibility import outside, visible_landmarks
+
+# Radii of the search windows, tried in turn, in units of the configured one.
+_RADII = (1.0, 3.0)
+_RADII_LOST = (3.0, 8.0)
+# Minimum ratio of the last frame's inliers that must agree with a pose from sparse image alignment.
+_MIN_SPARSE_RATIO = 0.5
+
+
+class _InitialPose(NamedTuple):
+    """A pose to refine, and the number of inliers from which no other pose is tried."""
+
+    world_from_cam: Floats
+    sufficient_inliers: float = 0.0
+
+
+class Tracker:
+    """Tracks frames in the local map; holds the motion model and the last frame.
+
+    Attributes:
+        last: the last tracked frame, None before the first of a segment.
+        knows_velocity: whether two frames of the segment have been tracked.
+        stopwatch: counts stages `match` and `align`.
+
+    Args:
+        local_map: the map.
+        frontend: matches features and aligns patches.
+        motion: predicts poses.
+        config: tracking settings.
+        start: settings of two-view geometry, for the essential matrix.
+        stopwatch: measures the stages.
+    """
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        frontend: Frontend,
+        motion: MotionModel,
+        config: TrackingConfig,
+        start: StartConfig,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.last: LastFrame | None = None
+        self.knows_velocity = False
+        self.stopwatch = stopwatch
+        self._map = local_map
+        self._matcher = frontend.matcher
+        self._scale_factor = frontend.scale_factor
+        self._motion = motion
+        self._shutter = RollingShutter(local_map, motion)
+        self._config = config
+        aligner = KltAligner if config.method == "klt" else LandmarkAligner
+        self._aligner = aligner(local_map, frontend, config.min_inliers)
+        self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
+        self._steps = StepCheck(is_metric=local_map.rig.is_stereo)
+        self._agreement = MapAgreement()
+        self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
+
+    @property
+    def last_pose(self) -> Floats:
+        """world_from_cam of the last tracked frame, the identity before the first."""
+        return self._motion.last
+
+    def restart(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> None:
+        """Begin at the frame that a new map was made of, with unknown velocity."""
+        self._motion.restart(frame.stamp_ns, tracked.world_from_cam)
+        self._shutter.restart(frame.stamp_ns)
+        self._steps.restart(frame.stamp_ns)
+        self._agreement.restart()
+        self.last = last_frame(frame, tracked)
+        self.knows_velocity = False
+
+    def update(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> tuple[Fault, ...]:
+        """Continue from a tracked frame; the faults that it shows."""
+        self._steps.update(self._step(frame, tracked))
+        self._shutter.update(frame.stamp_ns, tracked.world_from_cam)
+        self._motion.update(frame.stamp_ns, tracked.world_from_cam)
+        self.last = last_frame(frame, tracked)
+        self.knows_velocity = True
+        return self._agreement.update(tracked)
+
+    def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
+        """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""
+        self._motion.restart(stamp_ns, world_from_cam)
+        self._shutter.restart(stamp_ns)
+        self.last = None
+
+    def forget_last_frame(self) -> None:
+        """Forget the last frame, before a new segment."""
+        self.last = None
+        if isinstance(self._motion, InertialMotion):
+            self._motion.give_up()
+
+    def move(self, motion: Floats) -> None:
+        """Follow the map's newest keyframe, which optimisation has moved by (4, 4)."""
+        self._motion.move(motion)
+
+    def predicted_motion_px(self, ids: Ints, stamp_ns: int) -> float:
+        """Median motion of landmarks in the image from the last frame to a time; 0 if unknown."""
+        rows = self._map.rows(ids)
+        xyz = self._map.xyz[rows[rows >= 0]]
+        poses = self._motion.last, self._motion.predict(stamp_ns)
+        before, after = (transform_points(inverse(pose), xyz) for pose in poses)
+        seen = (before[:, 2] > 0) & (after[:, 2] > 0)
+        if not seen.any():
+            return 0.0
+        motion = self._map.rig.project(after[seen]) - self._map.rig.project(before[seen])
+        return median(np.hypot(motion[:, 0], motion[:, 1]))
+
+    def predicted(self, frame: PreprocessedFrame) -> PosePrior | None:
+        """The pose of a frame that was not tracked, by an inertial sensor; None if unknown."""
+        motion = self._motion
+        return motion.of_lost(frame.stamp_ns) if isinstance(motion, InertialMotion) else None
+
+    @timed("match")
+    def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
+        """last_from_cam (4, 4) by sparse image alignment; None if it fails.
+
+        It depends on the landmarks' positions relative to the last frame only, and stays valid when
+        optimisation moves both in the world.
+        """
+        if self.last is None:
+            return None
+        predicted = self._motion.predict(frame.stamp_ns)
+        velocity = self._shutter.velocity(frame.stamp_ns, predicted)
+        return sparse_image_alignment(
+            self._map, self.last, self._motion.last, frame, predicted, velocity
+        )
+
+    @timed("match")
+    def track(
+        self, frame: PreprocessedFrame, last_from_cam: Floats | None, *, is_lost: bool = False
+    ) -> TrackedFrame | Failure:
+        """The pose of a frame, or why it has none.
+
+        Where the pair gives no pose, the left image alone is tried. A step that the motion before
+        does not support is tried again from other initial poses.
+
+        Args:
+            frame: the frame.
+            last_from_cam: (4, 4) from `align_to_last`.
+            is_lost: whether the frame before was not tracked.
+        """
+        tracked = self._confirmed(frame, last_from_cam, is_lost=is_lost)
+        if tracked is None and frame.has_disparity and self._steps.knows_motion:
+            tracked = self._confirmed(frame, last_from_cam, is_lost=is_lost, is_alone=True)
+        if tracked is None:
+            return Failure(FailureReason.FEW_INLIERS)
+        failure = self._steps.failure(self._step(frame, tracked))
+        if failure is None:
+            return tracked
+        other = self._confirmed(frame, None, is_lost=is_lost)
+        if other is not None and self._steps.failure(self._step(frame, other)) is None:
+            return other
+        self._steps.reject(self._step(frame, tracked))
+        return failure
+
+    def _step(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> Step:
+        predicted = self._motion.predict(frame.stamp_ns)
+        return Step(frame.stamp_ns, self._motion.last, predicted, tracked)
+
+    def _confirmed(
+        self,
+        frame: PreprocessedFrame,
+        last_from_cam: Floats | None,
+        *,
+        is_lost: bool,
+        is_alone: bool = False,
+    ) -> TrackedFrame | None:
+        """The first initial pose that refinement confirms; None if too few landmarks agree.
+
+        One from sparse image alignment with few inliers competes with the next one.
+        """
+        best: TrackedFrame | None = None
+        initial_poses = self._initial_poses(
+            frame, last_from_cam, is_lost=is_lost, is_alone=is_alone
+        )
+        for initial in initial_poses:
+            tracked = self.refine(frame, initial.world_from_cam, is_alone=is_alone)
+            if best is None or (tracked is not None and tracked.inliers >= best.inliers):
+                best = tracked
+            if best is not None and best.inliers >= initial.sufficient_inliers:
+                return best
+        return best
+
+    def _initial_poses(
+        self,
+        frame: PreprocessedFrame,
+        last_from_cam: Floats | None,
+        *,
+        is_lost: bool,
+        is_alone: bool,
+    ) -> Iterator[_InitialPose]:
+        """Poses to refine, the most accurate and cheapest first."""
+        if self.last is not None and last_from_cam is not None:
+            enough = _MIN_SPARSE_RATIO * int(self.last.inlier.sum())
+            yield _InitialPose(self._motion.last @ last_from_cam, enough)
+        predicted = self._motion.predict(frame.stamp_ns)
+        if self._prior(frame) is not None:
+            yield _InitialPose(predicted)
+        pose = self.track_by_projection(frame, predicted, _RADII)
+        if pose is not None:
+            yield _InitialPose(pose)
+        if is_lost:  # the camera may have stopped as well as gone on
+            pose = self.track_by_projection(frame, self._motion.last, _RADII_LOST)
+            if pose is not None:
+                yield _InitialPose(pose)
+        else:
+            yield _InitialPose(predicted)
+        pose = self.relocalize(frame)
+        if pose is not None:
+            yield _InitialPose(pose)
+        if (is_alone or not self._map.rig.is_stereo) and self.last is not None:
+            pose = self._essential_matrix.estimate(self.last, self._motion.last, frame)
+            if pose is not None:
+                yield _InitialPose(pose)
+
+    def track_by_projection(
+        self, frame: PreprocessedFrame, predicted: Floats, radii: tuple[float, ...] = _RADII
+    ) -> Floats | None:
+        """world_from_cam from descriptors near where a predicted pose (4, 4) projects landmarks."""
+        velocity = self._shutter.velocity(frame.stamp_ns, predicted)
+        visible = visible_landmarks(self._map, predicted, velocity=velocity)
+        rows = visible.rows
+        octave = predicted_octave(self._map.octave[rows], visible.scale, self._scale_factor)
+        query = replace(self._features_of(rows), xy=visible.image_xy, octave=octave)
+        radius_px = self._config.search_ratio * self._map.rig.width
+        for factor in radii:
+            region = Circles(np.full(len(rows), factor * radius_px))
+            matches = self._matcher.match(query, feature_set(frame.keypoints), region)
+            pose = self._pose(frame, rows[matches.query], matches.train)
+            if pose is not None:
+                return pose
+        return None
+
+    def relocalize(self, frame: PreprocessedFrame) -> Floats | None:
+        """world_from_cam from descriptors alone.
+
+        Landmarks have positions as the camera of the last pose would see them, for matchers that
+        compare how features lie to each other; NaN outside of its view.
+        """
+        visible = visible_landmarks(self._map, self._motion.last)
+        xy = np.full((len(self._map), 2), np.nan)
+        xy[visible.rows] = visible.image_xy
+        size = self._map.rig.width, self._map.rig.height
+        query = replace(self._features_of(np.arange(len(self._map))), xy=xy, size=size)
+        matches = self._matcher.match(query, feature_set(frame.keypoints, size=size))
+        return self._pose(frame, matches.query, matches.train)
+
+    def track_anywhere(self, frame: PreprocessedFrame) -> TrackedFrame | None:
+        """Track a frame without a prediction."""
+        pose = self.relocalize(frame)
+        return None if pose is None else self.refine(frame, pose)
+
+    @timed("align")
+    def refine(
+        self, frame: PreprocessedFrame, world_from_cam: Floats, *, is_alone: bool = False
+    ) -> TrackedFrame | None:
+        """Align all landmarks in view, starting at a pose (4, 4), and fit the pose to them.
+
+        None if too few of them agree. With the left image alone, landmarks that have been seen only
+        once do not count as missing: a pair makes landmarks of snowflakes, too, which two views at
+        different times don't.
+        """
+        velocity = self._shutter.velocity(frame.stamp_ns, world_from_cam)
+        visible = visible_landmarks(self._map, world_from_cam, self._config.max_landmarks, velocity)
+        visible = self._aligner.candidates(outside(frame.masks[0], visible), self.last)
+        observed = self._aligner.align(visible, frame, self.last)
+        if not is_alone:
+            observed = self._aligner.with_disparity(observed, world_from_cam, frame)
+        fit = self._estimator.refine(
+            self._shutter.at_middle_row(observed, world_from_cam, velocity), world_from_cam
+        )
+        if velocity is not None:
+            refined = inverse(fit.cam_from_world)
+            velocity = self._shutter.velocity(frame.stamp_ns, refined)
+            observed = self._shutter.at_middle_row(observed, refined, velocity)
+            fit = self._estimator.refine(observed, refined)
+        in_view = len(visible.rows)
+        if is_alone:
+            in_view = int(np.count_nonzero(self._map.found[visible.rows] > 1))
+        self._map.visible[visible.rows] += 1
+        self._map.found[observed.rows[fit.inlier]] += 1
+        if int(fit.inlier.sum()) < self._min_inliers(in_view):
+            return None
+        cam_from_world, prior = fit.cam_from_world, self._prior(frame)
+        if prior is not None:
+            if prior.is_contradicted(cam_from_world, fit.information):
+                return None
+            cam_from_world = prior.fused(cam_from_world, fit.information)
+        ids = self._map.id[observed.rows]
+        pose = inverse(cam_from_world)
+        return TrackedFrame(pose, ids, observed, fit.inlier, in_view, velocity)
+
+    def _prior(self, frame: PreprocessedFrame) -> PosePrior | None:
+        """The pose by an inertial sensor of a frame after lost ones."""
+        motion = self._motion
+        return motion.prior(frame.stamp_ns) if isinstance(motion, InertialMotion) else None
+
+    def _min_inliers(self, visible: int) -> float:
+        """Minimum number of inliers; half as many where they are most of the landmarks in view."""
+        usual = self._config.min_inliers
+        fewest = min(usual, max(usual, visible) / 2)
+        return max(fewest, self._config.min_inlier_ratio * visible)
+
+    def _features_of(self, rows: Ints) -> FeatureSet:
+        """Landmarks by row as features to match."""
+        m = self._map
+        return FeatureSet(None, m.octave[rows], m.angle[rows], m.descriptor[rows])
+
+    def _pose(self, frame: PreprocessedFrame, rows: Ints, features: Ints) -> Floats | None:
+        """world_from_cam from landmarks (n,) matched with features (n,)."""
+        octave = frame.keypoints.octave[features].astype(np.float64)
+        xy = self._map.rig.undistort(frame.keypoints.xy[features])
+        return self._estimator.from_matches(rows, xy, self._scale_factor**octave)

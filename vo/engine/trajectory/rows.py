@@ -1,0 +1,103 @@
+"""Rows of the tables of a trajectory, and what they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.geometry.transforms import inverse, whole_transforms
+from vo.base.types import Floats, KeyframePose
+from vo.engine.trajectory.map_frame import Anchor
+
+FRAME = np.dtype(
+    [
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("keyframe", np.int32),  # id, not decreasing
+        ("fraction", np.float64),  # of the time between two tracked frames, 0 for a tracked one
+        ("keyframe_from_cam", np.float64, (3, 4)),
+    ]
+)
+KEYFRAME = np.dtype(
+    [
+        ("id", np.int64),
+        ("frame_index", np.int64),
+        ("stamp_ns", np.int64),
+        ("segment", np.int32),
+        ("odom_from_cam0", np.float64, (3, 4)),  # in the odometry frame
+        ("world_from_cam0", np.float64, (3, 4)),  # in the map frame
+        ("scale", np.float64),  # length in the map frame of one unit of the odometry frame
+        ("odom_covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
+        ("covariance", np.float64, (21,)),
+    ]
+)
+TRIANGLE = np.triu_indices(6)
+_UNKNOWN = np.full((6, 6), np.nan)
+
+
+def keyframe_rows(
+    keyframes: Sequence[int], poses: Sequence[KeyframePose], anchors: Mapping[int, Anchor]
+) -> NDArray[Any]:
+    """Rows (n,) of keyframes with poses in the odometry frame.
+
+    Args:
+        keyframes: ids.
+        poses: at least one.
+        anchors: what the keyframes of a segment follow, by segment.
+    """
+    rows = np.zeros(len(poses), KEYFRAME)
+    rows["id"] = keyframes
+    for name in ("frame_index", "stamp_ns", "segment"):
+        rows[name] = [getattr(pose, name) for pose in poses]
+    odom_from_cam0 = np.array([pose.world_from_cam0 for pose in poses])
+    covariance = np.array([_UNKNOWN if p.covariance is None else p.covariance for p in poses])
+    i, j = TRIANGLE
+    rows["odom_from_cam0"] = rows["world_from_cam0"] = odom_from_cam0[:, :3]
+    rows["odom_covariance"] = rows["covariance"] = covariance[:, i, j]
+    rows["scale"] = 1.0
+    for segment in sorted(set(rows["segment"].tolist()) & anchors.keys()):
+        anchor, chosen = anchors[segment], np.flatnonzero(rows["segment"] == segment)
+        rows["world_from_cam0"][chosen] = anchor.place(odom_from_cam0[chosen])[:, :3]
+        rows["scale"][chosen] = anchor.scale
+        known = chosen[np.isfinite(covariance[chosen, 0, 0])]
+        in_map = anchor.covariance(odom_from_cam0[known], covariance[known])
+        rows["covariance"][known] = in_map[:, i, j]
+    return rows
+
+
+def symmetric(triangles: Floats) -> Floats:
+    """(n, 6, 6) matrices of their upper triangles (n, 21)."""
+    result = np.zeros((len(triangles), 6, 6))
+    i, j = TRIANGLE
+    result[:, i, j] = result[:, j, i] = triangles
+    return result
+
+
+def in_proportion(world_from_cam0: Floats) -> Floats:
+    """(n, 6, 6) covariances of poses (n, 4, 4) in a world whose lengths all have a sigma of 1."""
+    to_origin = -inverse(world_from_cam0)[:, :3, 3]
+    result = np.zeros((len(to_origin), 6, 6))
+    result[:, 3:, 3:] = to_origin[:, :, None] * to_origin[:, None, :]
+    return result
+
+
+def keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
+    """Keyframes in the map frame."""
+    world_from_cam0 = whole_transforms(rows["world_from_cam0"])
+    covariance = symmetric(rows["covariance"])
+    known = np.isfinite(rows["covariance"][:, 0])
+    return [
+        KeyframePose(
+            int(row["frame_index"]),
+            int(row["stamp_ns"]),
+            int(row["segment"]),
+            world_from_cam0[k],
+            covariance[k] if known[k] else None,
+            float(row["scale"]),
+        )
+        for k, row in enumerate(rows)
+    ]

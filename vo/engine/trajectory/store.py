@@ -1,0 +1,392 @@
+"""The trajectory: every frame has a pose relative to a keyframe and moves with it."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.geometry.transforms import inverse, whole_transforms
+from vo.base.records.metric_scale import MetricScale
+from vo.base.records.placed_frames import PlacedFrames
+from vo.base.types import Floats, Ints, KeyframePose, Trajectory
+from vo.engine.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
+from vo.engine.trajectory.interpolation import InterpolatedFrames, fill
+from vo.engine.trajectory.map_frame import Anchor, make_anchors, scaled_covariance
+from vo.engine.trajectory.rows import (
+    FRAME,
+    KEYFRAME,
+    TRIANGLE,
+    in_proportion,
+    keyframe_poses,
+    keyframe_rows,
+    symmetric,
+)
+from vo.engine.trajectory.table import Table
+
+
+class TrajectoryStore:
+    """Frames with a pose in time order, and the newest pose of every keyframe.
+
+    Any keyframe, old ones too, can get a new pose at any time; the frames relative to it follow.
+    Poses are stored in the odometry frame of their segment; once the pose graph has placed
+    keyframes (`place`), those come out in the map frame, and the others follow the last placed one
+    before them.
+
+    Attributes:
+        interpolated: frames to be interpolated, None for no interpolation.
+    """
+
+    def __init__(self) -> None:
+        self.interpolated: InterpolatedFrames | None = None
+        self._frames = Table(FRAME)
+        self._inertial: list[InertialFrame] = []
+        self._keyframes = Table(KEYFRAME)
+        self._changed = self._changed_keyframe = 0
+        self._moved: set[int] = set()  # ids of keyframes
+        self._anchors: dict[int, Anchor] = {}  # newest keyframe that was placed, by segment
+        self._worlds: dict[int, int] = {}  # of segments that were connected to another one
+
+    @property
+    def frames(self) -> NDArray[Any]:
+        """(n,) rows with `frame_index`, `stamp_ns`, `segment` and `keyframe` (an id)."""
+        return self._frames.rows
+
+    @property
+    def keyframe_count(self) -> int:
+        """Number of keyframes."""
+        return len(self._keyframes)
+
+    def add(
+        self, frame_index: int, stamp_ns: int, segment: int, keyframe: int, odom_from_cam0: Floats
+    ) -> None:
+        """Append a frame with a pose (4, 4), and the frames to be interpolated before it."""
+        self._add_interpolated(frame_index, segment)
+        row = self._keyframe_row(keyframe)
+        reference = whole_transforms(self._keyframes.rows["odom_from_cam0"][row : row + 1])[0]
+        relative = inverse(reference) @ odom_from_cam0
+        self._frames.append(frame_index, stamp_ns, segment, keyframe, 0.0, relative[:3])
+
+    def add_inertial(self, added: Sequence[InertialFrame]) -> None:
+        """Insert frames with poses by the inertial sensor, by increasing number, at the end."""
+        if not added:
+            return
+        added = sorted(added, key=lambda frame: frame.frame_index)
+        self._inertial = added
+        rows = self._keyframes.rows[[self._keyframe_row(frame.keyframe) for frame in added]]
+        poses = np.stack([frame.world_from_cam0 for frame in added])
+        relative = inverse(whole_transforms(rows["world_from_cam0"])) @ poses
+        relative[:, :3, 3] /= rows["scale"][:, None]
+        self._frames.replace(inserted(self.frames, added, relative))
+        self._changed = self._changed_keyframe = 0
+
+    def store(self, keyframe: int, pose: KeyframePose) -> None:
+        """Add a keyframe by its id, or replace its pose and covariance in the odometry frame."""
+        self.store_all([keyframe], [pose])
+
+    def store_all(self, keyframes: Sequence[int], poses: Sequence[KeyframePose]) -> None:
+        """Do so with some keyframes, by increasing ids; at least one."""
+        self._moved.update(keyframes)
+        self._changed_keyframe = min(self._changed_keyframe, self._keyframe_row(keyframes[0]))
+        rows = keyframe_rows(keyframes, poses, self._anchors)
+        for keyframe, fields in zip(keyframes, rows, strict=True):
+            row = self._keyframe_row(keyframe)
+            if row == len(self._keyframes):
+                self._keyframes.append(*fields)
+            else:
+                self._keyframes.rows[row] = fields
+        first = bisect_left(self.frames["keyframe"], keyframes[0])
+        self._changed = min(self._changed, self._first_after_tracked(first))
+
+    def anchor(self, segment: int) -> Anchor | None:
+        """The newest keyframe of a segment that was placed, which its newer poses follow."""
+        return self._anchors.get(segment)
+
+    @property
+    def worlds(self) -> dict[int, int]:
+        """The worlds of the segments that were placed in the map frame."""
+        return dict(self._worlds)
+
+    def world(self, segment: int) -> int:
+        """Number of the connected world that a segment belongs to: that of its first segment."""
+        return self._worlds.get(segment, segment)
+
+    def place(
+        self,
+        keyframes: Ints,
+        worlds: Ints,
+        map_from_cam0: Floats,
+        scale: Floats,
+        covariance: Floats,
+        *,
+        keeps_earlier: bool = False,
+    ) -> None:
+        """Place keyframes in the map frame; all others of their segments follow.
+
+        Args:
+            keyframes: (n,) increasing ids.
+            worlds: (n,) number of the world of each.
+            map_from_cam0: (n, 4, 4).
+            scale: (n,) length in the map of one unit of the odometry frame.
+            covariance: (n, 6, 6), NaN if unknown.
+            keeps_earlier: whether keyframes before them stay where they were placed before.
+        """
+        if len(keyframes) == 0:
+            return
+        rows = self._keyframes.rows
+        placed = np.searchsorted(rows["id"], keyframes)
+        segments = rows["segment"][placed]
+        odom_covariance = symmetric(rows["odom_covariance"][placed])
+        odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][placed])
+        first = len(rows)
+        for segment in np.unique(segments).tolist():
+            chosen = np.flatnonzero(segments == segment)
+            self._worlds[segment] = int(worlds[chosen[0]])
+            of_segment = np.flatnonzero(rows["segment"] == segment)
+            if keeps_earlier and segment in self._anchors:
+                of_segment = of_segment[np.searchsorted(of_segment, placed[chosen[0]]) :]
+            # Each follows the last placed one before it, and the first ones the first placed one.
+            ends = np.append(np.searchsorted(of_segment, placed[chosen[1:]]), len(of_segment))
+            anchors = make_anchors(
+                odom_from_cam0[chosen],
+                map_from_cam0[chosen],
+                scale[chosen],
+                odom_covariance[chosen],
+                covariance[chosen],
+            )
+            followed = np.repeat(np.arange(len(chosen)), np.diff(ends, prepend=0))
+            self._follow(of_segment, anchors.rows(followed))
+            self._anchors[segment] = anchors.row(-1)
+            self._moved |= set(rows["id"][of_segment].tolist())
+            first = min(first, int(of_segment[0]))
+        self._changed_keyframe = min(self._changed_keyframe, first)
+        frame = bisect_left(self.frames["keyframe"], int(rows["id"][first]))
+        self._changed = min(self._changed, self._first_after_tracked(frame))
+
+    def placed(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
+        """Keyframes of a world: their ids, poses, scales and covariances, as for `place`."""
+        table = self._keyframes.rows
+        segments = [n for n in np.unique(table["segment"]).tolist() if self.world(n) == world]
+        rows = table[np.isin(table["segment"], segments)]
+        poses = whole_transforms(rows["world_from_cam0"])
+        return rows["id"].copy(), poses, rows["scale"].copy(), symmetric(rows["covariance"])
+
+    def apply_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Convert the poses of worlds to metres, once, after the last frame.
+
+        Covariances get the part that the uncertainty of the scale adds: the error of a position is
+        along the line to the origin of the world and in proportion to its distance.
+
+        Args:
+            scales: by number of the world; others stay as they are.
+        """
+        table = self._keyframes.rows
+        for number in np.unique(table["segment"]).tolist():
+            scale = scales.get(self.world(number))
+            if scale is None:
+                continue
+            rows = np.flatnonzero(table["segment"] == number)
+            poses = whole_transforms(table["world_from_cam0"][rows])
+            poses[:, :3, 3] *= scale.value
+            table["world_from_cam0"][rows] = poses[:, :3]
+            table["scale"][rows] *= scale.value
+            covariance = scaled_covariance(symmetric(table["covariance"][rows]), scale.value)
+            added = scale.relative_sigma**2 * in_proportion(poses)
+            i, j = TRIANGLE
+            table["covariance"][rows] = (covariance + added)[:, i, j]
+        self._changed = self._changed_keyframe = 0
+
+    def scales_of_segments(self, scales: Mapping[int, MetricScale]) -> dict[int, MetricScale]:
+        """Scales by number of the segment, of those by number of the world."""
+        worlds = {n: self.world(n) for n in np.unique(self.frames["segment"]).tolist()}
+        return {number: scales[world] for number, world in worlds.items() if world in scales}
+
+    def map_scales(self, scales: Mapping[int, MetricScale]) -> dict[int, float]:
+        """Length in the world of one unit of odometry, by frame number of the keyframe.
+
+        Args:
+            scales: by number of the world, those that `apply_scales` got, which are left out.
+        """
+        metric = self.scales_of_segments(scales)
+        found = {}
+        for row in self._keyframes.rows:
+            scale = metric.get(int(row["segment"]))
+            value = 1.0 if scale is None else scale.value
+            found[int(row["frame_index"])] = float(row["scale"]) / value
+        return found
+
+    def turn_worlds(self, new_from_old: Mapping[int, Floats]) -> None:
+        """Give worlds other frames after the last frame: (4, 4) by number of the world."""
+        table = self._keyframes.rows
+        for row, segment in enumerate(table["segment"].tolist()):
+            turn = new_from_old.get(self.world(segment))
+            if turn is not None:
+                table["world_from_cam0"][row] = turn[:3, :3] @ table["world_from_cam0"][row]
+                table["world_from_cam0"][row, :, 3] += turn[:3, 3]
+        self._changed = self._changed_keyframe = 0
+
+    def _follow(self, rows: Ints, anchors: Anchor) -> None:
+        """Set the poses of n rows of keyframes that follow n placed ones."""
+        table = self._keyframes.rows
+        odom_from_cam0 = whole_transforms(table["odom_from_cam0"][rows])
+        table["world_from_cam0"][rows] = anchors.place(odom_from_cam0)[:, :3]
+        table["scale"][rows] = anchors.scale
+        covariance = symmetric(table["odom_covariance"][rows])
+        known = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
+        i, j = TRIANGLE
+        moved = anchors.rows(known).covariance(odom_from_cam0[known], covariance[known])
+        table["covariance"][rows[known]] = moved[:, i, j]
+
+    def remove_from(self, frame_index: int) -> Floats | None:
+        """Remove a frame and all after it.
+
+        Returns:
+            The pose (4, 4) of the first in the odometry frame, None without any.
+        """
+        row = self._first_after_tracked(bisect_left(self.frames["frame_index"], frame_index))
+        pose = None if row == len(self._frames) else self._poses(row, "odom_from_cam0")[0]
+        keyframe_row = bisect_left(self._keyframes.rows["frame_index"], frame_index)
+        self._moved -= set(self._keyframes.rows["id"][keyframe_row:].tolist())
+        self._frames.truncate(row)
+        self._keyframes.truncate(keyframe_row)
+        self._changed = min(self._changed, row)
+        self._changed_keyframe = min(self._changed_keyframe, keyframe_row)
+        return pose
+
+    def has_frame(self, segment: int, before: int) -> bool:
+        """Whether the newest frame before a frame number is of this segment."""
+        row = bisect_left(self.frames["frame_index"], before)
+        return row > 0 and int(self.frames["segment"][row - 1]) == segment
+
+    def take_changes(self) -> tuple[int, int]:
+        """First rows of frames and of keyframes that are new or moved since the last call."""
+        changed = self._changed, self._changed_keyframe
+        self._changed, self._changed_keyframe = len(self._frames), len(self._keyframes)
+        return changed
+
+    def take_moved(self) -> tuple[KeyframePose, ...]:
+        """Keyframes that were added or moved since the last call, in order of ids."""
+        moved, self._moved = sorted(self._moved), set()
+        return tuple(self.keyframes_by_id(moved))
+
+    def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
+        """Keyframes by increasing ids."""
+        return keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
+
+    def newest_certain(self, segment: int) -> KeyframePose | None:
+        """The newest keyframe of a segment that has a covariance, None without one."""
+        for row in range(len(self._keyframes) - 1, -1, -1):
+            (pose,) = keyframe_poses(self._keyframes.rows[row : row + 1])
+            if pose.segment != segment:
+                return None
+            if pose.covariance is not None:
+                return pose
+        return None
+
+    def keyframes(self, row: int = 0) -> list[KeyframePose]:
+        """Keyframes from a row on."""
+        return keyframe_poses(self._keyframes.rows[row:])
+
+    def covariances(self, row: int = 0) -> list[KeyframePose]:
+        """Keyframes from a row on, among the frames with a pose by the inertial sensor."""
+        keyframes = self.keyframes(row)
+        return with_inertial(keyframes, self._inertial) if self._inertial else keyframes
+
+    def path(self, row: int = 0) -> PlacedFrames:
+        """All frames with their current poses, from a row on."""
+        frames = self.frames[row:]
+        rows = self._keyframe_rows(frames["keyframe"])
+        interpolated, inertial = frames["fraction"] > 0, np.minimum(frames["fraction"], 0.0)
+        frame_index = frames["frame_index"].copy()
+        is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
+        segment = frames["segment"].astype(np.int64)
+        numbers, inverted = np.unique(segment, return_inverse=True)
+        world = np.array([self.world(n) for n in numbers.tolist()], np.int64)[inverted]
+        trajectory = self.trajectory(row)
+        return PlacedFrames(
+            *(frame_index, segment, world, is_keyframe & (inertial == 0)),
+            *(interpolated, trajectory, inertial.astype(np.int64)),
+        )
+
+    def trajectory(self, row: int = 0) -> Trajectory:
+        """The poses of `path` alone."""
+        return Trajectory(self.frames["stamp_ns"][row:].copy(), self._poses(row, "world_from_cam0"))
+
+    def odometry(self, scales: Mapping[int, MetricScale]) -> Trajectory:
+        """The path of the odometry alone, before any loop: each segment in its own frame.
+
+        Args:
+            scales: by number of the world, those of which are converted to metres.
+        """
+        poses, segments = self._poses(0, "odom_from_cam0"), self.frames["segment"]
+        for number, scale in self.scales_of_segments(scales).items():
+            poses[segments == number, :3, 3] *= scale.value
+        return Trajectory(self.frames["stamp_ns"].copy(), poses)
+
+    def trajectory_with(
+        self, keyframes: Ints, worlds: Ints, map_from_cam0: Floats, scale: Floats
+    ) -> Trajectory:
+        """The path with keyframes at other places, which are not kept.
+
+        Args:
+            keyframes: (n,) increasing ids; segments without any are in their odometry frames.
+            worlds: as for `place`.
+            map_from_cam0: as for `place`.
+            scale: as for `place`.
+        """
+        table = self._keyframes.rows
+        kept = table.copy(), dict(self._anchors), dict(self._worlds), set(self._moved)
+        changed = self._changed, self._changed_keyframe
+        table["world_from_cam0"], table["scale"] = table["odom_from_cam0"], 1.0
+        self.place(keyframes, worlds, map_from_cam0, scale, np.full((len(keyframes), 6, 6), np.nan))
+        found = self.trajectory()
+        table[:], self._anchors, self._worlds, self._moved = kept
+        self._changed, self._changed_keyframe = changed
+        return found
+
+    def _poses(self, row: int, frame: str) -> Floats:
+        """Poses (n, 4, 4) of all frames from a row on, by the name of the keyframes' poses."""
+        first = row
+        while first < len(self._frames) and self.frames["fraction"][first] > 0:
+            first -= 1
+        frames = self.frames[first:]
+        rows = self._keyframe_rows(frames["keyframe"])
+        moved = whole_transforms(frames["keyframe_from_cam"])
+        if frame == "world_from_cam0":
+            moved[:, :3, 3] *= self._keyframes.rows["scale"][rows, None]
+        poses = whole_transforms(self._keyframes.rows[frame][rows]) @ moved
+        fill(poses, frames["fraction"])
+        return np.asarray(poses[row - first :])
+
+    def _add_interpolated(self, frame_index: int, segment: int) -> None:
+        if self.interpolated is None or len(self._frames) == 0:
+            return
+        last = self.frames[-1]
+        if last["segment"] != segment:
+            return
+        stamps_ns, keyframe = self.interpolated.stamps_ns, int(last["keyframe"])
+        begin, end = int(last["stamp_ns"]), int(stamps_ns[frame_index])
+        for number in self.interpolated.between(int(last["frame_index"]), frame_index):
+            stamp_ns = int(stamps_ns[number])
+            fraction = (stamp_ns - begin) / (end - begin)
+            self._frames.append(number, stamp_ns, segment, keyframe, fraction, np.zeros((3, 4)))
+
+    def _first_after_tracked(self, row: int) -> int:
+        """The row, or the first of the interpolated frames before it, which move with it."""
+        while 0 < row < len(self._frames) and self.frames["fraction"][row - 1] > 0:
+            row -= 1
+        return row
+
+    def _keyframe_row(self, keyframe: int) -> int:
+        # NumPy would copy the whole column each time.
+        return bisect_left(self._keyframes.rows["id"], keyframe)
+
+    def _keyframe_rows(self, keyframes: Ints) -> Ints:
+        """Rows (n,) of non-decreasing ids (n,)."""
+        if len(keyframes) == 0:
+            return keyframes
+        first = self._keyframe_row(int(keyframes[0]))
+        return first + np.searchsorted(self._keyframes.rows["id"][first:], keyframes)

@@ -1,0 +1,210 @@
+"""Compilation of all functions that the odometry needs, before its first frame."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from vo.base.compiling import machine_code, store
+from vo.base.compiling.function import announce_compilation, compiled_here
+from vo.base.config import Config, load_config
+from vo.base.geometry.rectification import rectified_rig
+from vo.base.images.png import decode_grey
+from vo.base.types import Bytes, Camera, Frame, ImuNoise, Rig
+from vo.base.version import __version__
+from vo.engine.geometry.rolling_shutter import Velocity, disparity_at_middle_row
+
+_PACKAGE = Path(__file__).parents[1]
+_ROOMS_WITH_KERNELS = (
+    "base/compiling",
+    "base/geometry",
+    "base/images",
+    "engine/backend",
+    "engine/features",
+    "engine/frontend",
+    "engine/geometry",
+    "engine/inertial",
+    "engine/learned",
+    "engine/mapping",
+    "engine/places",
+    "engine/tracking",
+)
+_SIZE = (240, 320)  # of the images, rows and columns
+_FOCAL_PX = 200.0
+_DISTORTION = (-0.1, 0.01, 0.0, 0.0)
+_BASELINE_M = 0.1
+# Two textured planes: a single plane leaves the pose of the second camera ambiguous.
+_DISPARITIES_PX = (8, 4)
+_FRAMES = 12
+
+_is_running = False
+
+
+def is_warm() -> bool:
+    """Whether `warm_up` has been completed for this version of the code and this processor."""
+    return _stamp().exists()
+
+
+def warm_up(make_odometry: Callable[[Rig, Config], Any]) -> bool:
+    """Compile all functions of the odometry, unless that was done before.
+
+    Runs the odometry on generated images, so that exactly the functions and signatures that it
+    uses are compiled. The machine code is cached on disk; whether, when or where this function is
+    called makes no difference to results.
+
+    Args:
+        make_odometry: the class `vo.engine.odometry.Odometry`, whose constructor calls this
+            function.
+
+    Returns:
+        Whether anything had to be compiled.
+    """
+    global _is_running
+    if _is_running or is_warm():
+        return False
+    compiled_before = compiled_here()
+    _is_running = True
+    try:
+        _run_all(make_odometry)
+    finally:
+        _is_running = False
+    _save_stamp()
+    return compiled_here() != compiled_before
+
+
+def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
+    if not machine_code.is_supported():  # numba's own cache does not report compilations
+        announce_compilation()
+    for rig in _rigs():
+        _run(make_odometry, rig)
+    _use_inertial_samples()
+    _use_rolling_shutter()
+    _use_screening()
+    _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
+    decode_grey(packed.tobytes())
+
+
+def _run(make_odometry: Callable[[Rig, Config], Any], rig: Rig) -> None:
+    """Run the odometry, in this process alone."""
+    odometry = make_odometry(rig, load_config(overrides=["threads=1", "memory.loops=true"]))
+    try:
+        for frame in _frames(rig.is_stereo):
+            odometry.track(frame)
+        odometry.finish()
+    finally:
+        odometry.close()
+
+
+def _rigs() -> Iterator[Rig]:
+    cam1_from_cam0 = np.eye(4)
+    cam1_from_cam0[0, 3] = -_BASELINE_M
+    rows, columns = _SIZE
+    center = (columns / 2, rows / 2)
+    camera = Camera(columns, rows, _FOCAL_PX, _FOCAL_PX, *center, "radtan", _DISTORTION)
+    yield Rig(camera, camera, cam1_from_cam0)
+    yield Rig(camera)
+
+
+def _use_inertial_samples() -> None:
+    """Call what only a recording with inertial samples needs, with any values."""
+    from vo.engine.inertial.estimation import estimate_states, first_prior
+    from vo.engine.inertial.preintegration import Interval, preintegrate, rotation_of
+    from vo.engine.inertial.states import States, Steps
+
+    zero, zeros, noise = np.zeros(3), np.zeros((2, 3)), ImuNoise(1e-3, 1e-5, 1e-2, 1e-4)
+    interval = Interval(np.array([0.0, 0.1]), zeros, zeros)
+    rotation_of(interval, zero)
+    motion = np.eye(4)
+    measured = preintegrate(interval, zero, zero, noise)
+    covariance, is_visual = np.eye(6)[None], np.ones(1, dtype=bool)
+    steps = Steps(
+        *(np.full(1, 0.1), (measured,), motion[None], covariance, is_visual),
+        is_metric=False,
+        imu_from_cam=motion,
+    )
+    states = States(np.stack([np.eye(3)] * 2), zeros, zeros, zeros, zeros, np.zeros(2))
+    prior = first_prior(states.rows(slice(0, 1)), is_metric=False)
+    estimate_states(states, steps, prior, noise)
+
+
+def _use_rolling_shutter() -> None:
+    """Call what only images of a rolling shutter need, with any values."""
+    rig = replace(rectified_rig(next(_rigs())), readout_s=0.01)
+    still = Velocity(np.zeros(3), np.zeros(3))
+    disparity_at_middle_row(rig, np.zeros((1, 2)), np.ones(1), still)
+
+
+def _use_screening() -> None:
+    """Call what only a recording with places that look alike needs, with any values."""
+    from vo.engine.mapping.keyframe import FrameId
+    from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
+    from vo.engine.places.screening import Screening
+    from vo.engine.places.vocabulary import DESCRIPTOR_BYTES
+    from vo.engine.places.vocabulary_file import built_in_vocabulary
+
+    random, count = np.random.default_rng(0), 20
+    xyz = random.uniform((-1, -1, 4), (1, 1, 6), (count, 3)).astype(np.float32)
+    descriptor = random.integers(0, 256, (count, DESCRIPTOR_BYTES), dtype=np.uint8)
+    zeros = np.zeros(count, np.float32)
+    landmarks = PlaceLandmarks(
+        *(np.arange(count), xyz, xyz[:, :2], zeros + np.float32(0.01), descriptor),
+        *(np.zeros(count, np.int32), zeros, np.zeros((count, PATCH_PX, PATCH_PX), np.uint8)),
+    )
+    of_path = PlaceKey(0, 0), FrameId(0, 0, 0), True, np.eye(4), np.eye(6)
+    place = Place(*of_path, descriptor, landmarks, _image(_texture(), 0.0))
+    Screening(built_in_vocabulary(), scale_factor=1.44).passes(place, place, next(_rigs()).cam0)
+
+
+def _frames(stereo: bool) -> Iterator[Frame]:
+    """Images of a camera that moves to the right by half a baseline from frame to frame."""
+    texture = _texture()
+    for index in range(_FRAMES):
+        images = [_image(texture, (index + 2 * right) / 2) for right in range(2)]
+        yield Frame(index, index * 100_000_000, tuple(images if stereo else images[:1]))
+
+
+def _texture() -> Bytes:
+    rows, columns = _SIZE
+    coarse = np.random.default_rng(0).integers(0, 256, (rows // 4, columns), dtype=np.uint8)
+    return np.repeat(np.repeat(coarse, 4, axis=0), 4, axis=1)
+
+
+def _image(texture: Bytes, baselines: float) -> Bytes:
+    """The planes, the far one above, from a position given in baselines to the right."""
+    rows, columns = _SIZE
+    image = np.empty(_SIZE, np.uint8)
+    halves = (slice(rows // 2, rows), slice(rows // 2))
+    for half, disparity in zip(halves, _DISPARITIES_PX, strict=True):
+        begin = round(baselines * disparity)
+        image[half] = texture[half, begin : begin + columns]
+    return image
+
+
+def _stamp() -> Path:
+    """File that exists once everything was compiled.
+
+    Its name is a hash of the version, the rooms with compiled functions, the compiler and the
+    processor.
+    """
+    digest = hashlib.sha256(f"{__version__} {machine_code.toolchain()}".encode())
+    for room in _ROOMS_WITH_KERNELS:
+        for path in sorted((_PACKAGE / room).glob("*.py")):
+            digest.update(path.read_bytes())
+    return store.folder() / f"warm-{digest.hexdigest()[:16]}"
+
+
+def _save_stamp() -> None:
+    """Replace stamps of other versions; nothing if the folder cannot be written to."""
+    stamp = _stamp()
+    with suppress(OSError):
+        store.create_folder()
+        for other in stamp.parent.glob("warm-*"):
+            other.unlink(missing_ok=True)
+        stamp.touch()

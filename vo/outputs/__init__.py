@@ -1,0 +1,1 @@
+"""What a run leaves: results, recordings for viewers, live poses, errors, reports."""

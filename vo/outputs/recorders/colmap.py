@@ -1,0 +1,199 @@
+"""Records keyframes and points as a COLMAP model, with its images."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.errors import OutputError
+from vo.base.geometry import cameras
+from vo.base.geometry.rectification import rectified_rig
+from vo.base.records.metric_scale import MetricScale
+from vo.base.types import Camera, Estimate, Floats32, Rig, Trajectory, View
+from vo.outputs.recorders.checkpoints import Checkpoints
+from vo.outputs.recorders.image_folder import ImageFolder
+from vo.outputs.recorders.model import Model
+from vo.outputs.recorders.reconstruction import Reconstruction, camera_of, pinhole_of
+from vo.outputs.recorders.recorder import LoopClosures, TakeSnapshot
+from vo.recordings.formats.colmap import MODEL_FILES, ModelPoints, ModelWriter, has_colmap_model
+
+_IMAGES, _MODELS = "images", "sparse"
+_PARTIAL_SUFFIX = ".partial"
+
+
+class ColmapRecorder:
+    """Writes `images/`, and again and again `sparse/0`, `sparse/1`, …; the final ones at the end.
+
+    Each world is a model: a segment, or at the end all segments that loops have connected, because
+    other relative poses are unknown. The one with most keyframes is first. Images are those used by
+    the odometry: rectified in stereo, as recorded in mono (in colour if available). They are
+    undistorted if COLMAP does not support the lens.
+
+    Args:
+        folder: created if it is missing; models of an earlier run in it are removed, those of
+            others are refused.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._checkpoints = Checkpoints()
+        self._scales: dict[int, MetricScale] = {}
+        self._closures: LoopClosures | None = None
+        self._images = ImageFolder(folder / _IMAGES)
+        self._is_rectified = False
+        self._names: dict[int, str] = {}
+        self._camera: Camera | None = None
+        self._maps: tuple[Floats32, Floats32] | None = None
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """Create the folder.
+
+        Raises:
+            OutputError: the folder cannot be written to, or it has models or images of others.
+        """
+        self._is_rectified = rectified_rig(rig).maps[0] is not None
+        try:
+            self._refuse_foreign_files()
+            (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
+            self._reconstruction = Reconstruction(self._folder)
+            self._remove_models(from_number=0)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write to folder {self._folder}: {error.strerror or error}; "
+                "choose another --colmap"
+            ) from error
+
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """Add a frame; the image of a keyframe is written.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        current = snapshot()
+        self._reconstruction.add(estimate, current)
+        if self._camera is None:
+            self._camera, self._maps = _output_camera(current.view)
+        if estimate.is_keyframe:
+            self._names[estimate.frame_index] = self._write_image(estimate, current.view)
+        if self._checkpoints.is_due:
+            self._checkpoints.begin()
+            self._write_models(None)
+            self._checkpoints.end()
+
+    def _write_image(self, estimate: Estimate, view: View) -> str:
+        image = view.image0
+        if self._maps is not None:
+            undistorted = cv2.remap(image, *self._maps, cv2.INTER_LINEAR)
+            image = np.asarray(undistorted, dtype=np.uint8)
+        is_recorded = self._maps is None and not self._is_rectified
+        return self._images.add(estimate.frame_index, view.path, image, is_recorded=is_recorded)
+
+    def flush(self) -> None:
+        """Do nothing: what is written during a run is complete."""
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Write the final models in metres."""
+        self._scales = dict(scales)
+
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Write one final model for all segments that loops have connected."""
+        self._closures = closures
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Write the models that have points.
+
+        Keyframes without an image, such as the first one of a mono map, are left out.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        self._write_models(smoothed)
+        self._reconstruction.close()
+
+    def _write_models(self, smoothed: Trajectory | None) -> None:
+        models = self._reconstruction.models(smoothed, self._names, self._scales, self._closures)
+        written = [model for model in models if model.point_count] or models[:1]
+        for number, model in enumerate(written):
+            folder = self._folder / _MODELS / str(number)
+            partial = folder.with_name(f"{number}{_PARTIAL_SUFFIX}")
+            shutil.rmtree(partial, ignore_errors=True)
+            partial.mkdir(parents=True)
+            try:
+                self._write(partial, model)
+                shutil.rmtree(folder, ignore_errors=True)
+                partial.rename(folder)
+            except OSError:
+                shutil.rmtree(partial, ignore_errors=True)
+                raise
+        self._remove_models(from_number=len(written))
+
+    def _models(self) -> list[Path]:
+        """Folders of models of this run, or of an earlier one."""
+        folders = (self._folder / _MODELS).glob("*")
+        return [each for each in folders if _number(each).isdecimal()]
+
+    def _refuse_foreign_files(self) -> None:
+        models, images = self._models(), self._folder / _IMAGES
+        foreign = [each for each in models if not _is_own_model(each)]
+        if not models and images.is_dir() and any(images.iterdir()):
+            foreign = [images]
+        if foreign:
+            raise OutputError(
+                f"{foreign[0]} is not of an earlier run and would be replaced; "
+                "choose another --colmap"
+            )
+
+    def _remove_models(self, from_number: int) -> None:
+        """Remove models of an earlier run or moment."""
+        for old in self._models():
+            if int(_number(old)) >= from_number and _is_own_model(old):
+                shutil.rmtree(old)
+
+    def _write(self, folder: Path, model: Model) -> None:
+        assert self._camera is not None
+        is_pinhole = self._maps is not None
+        # Of recorded images, with the correction of the lens that was estimated during the run.
+        with closing(ModelWriter(folder, self._camera if is_pinhole else model.camera)) as writer:
+            for image, points in model.walk():
+                frame, pose = int(model.frame_index[image.keyframe]), model.world_from_image0
+                xy = image.xy
+                if is_pinhole:
+                    xy = _undistorted(model.camera, self._camera, xy)
+                pose = pose[image.keyframe]
+                writer.add_image(image.keyframe, self._names[frame], pose, xy, image.point)
+                if points is not None:
+                    writer.add_points(ModelPoints(*points))
+
+
+def _number(folder: Path) -> str:
+    return folder.name.removesuffix(_PARTIAL_SUFFIX)
+
+
+def _is_own_model(folder: Path) -> bool:
+    """Whether a model was written here: text files, without the comment that COLMAP begins with."""
+    if not {each.name for each in folder.iterdir()} <= set(MODEL_FILES):
+        return False
+    cameras_file = folder / MODEL_FILES[0]
+    return not cameras_file.is_file() or not cameras_file.read_bytes().startswith(b"#")
+
+
+def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None]:
+    """The camera of the written images, and maps of `cv2.remap` if they are to be undistorted."""
+    camera, pinhole = camera_of(view), pinhole_of(view)
+    if has_colmap_model(camera):
+        return camera, None
+    u, v = np.meshgrid(np.arange(pinhole.width), np.arange(pinhole.height))
+    rays = cameras.normalise(pinhole, np.column_stack([u.ravel(), v.ravel()]).astype(np.float64))
+    maps: NDArray[np.float32] = cameras.distort(camera, rays).astype(np.float32)
+    maps = np.nan_to_num(maps, nan=-1.0).reshape(pinhole.height, pinhole.width, 2)
+    return pinhole, (np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1]))
+
+
+def _undistorted(lens: Camera, pinhole: Camera, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    return cameras.distort(pinhole, cameras.normalise(lens, xy))

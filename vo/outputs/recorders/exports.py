@@ -1,0 +1,142 @@
+"""Files for other programs, and the recorders that write them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from vo.base.records.metric_scale import MetricScale
+from vo.base.records.seen_markers import SeenMarkers
+from vo.base.types import Estimate, Rig, Trajectory
+from vo.outputs.recorders.background import BackgroundRecorder
+from vo.outputs.recorders.recorder import (
+    LoopClosures,
+    LoopRecorder,
+    MarkerRecorder,
+    Recorder,
+    ScaledRecorder,
+    TakeSnapshot,
+)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Exports:
+    """Files for other programs; None where a file is not requested.
+
+    Attributes:
+        mcap: MCAP file for Foxglove.
+        colmap: folder for a COLMAP model.
+        ply: PLY file of the map's points.
+    """
+
+    mcap: Path | None = None
+    colmap: Path | None = None
+    ply: Path | None = None
+
+    def recorders(self) -> list[Recorder]:
+        """One recorder for each requested file."""
+        recorders: list[Recorder] = []
+        if self.mcap is not None:
+            # protobuf takes long to import
+            from vo.outputs.recorders.mcap_recorder import McapRecorder
+
+            recorders.append(McapRecorder(self.mcap))
+        if self.colmap is not None:
+            from vo.outputs.recorders.colmap import ColmapRecorder
+
+            recorders.append(ColmapRecorder(self.colmap))
+        if self.ply is not None:
+            from vo.outputs.recorders.ply import PlyRecorder
+
+            recorders.append(PlyRecorder(self.ply))
+        return recorders
+
+
+def with_exports(recorder: Recorder, exports: Exports, *, may_drop: bool = False) -> Recorder:
+    """A recorder, together with those of the exports in a separate thread.
+
+    Args:
+        recorder: the recorder.
+        exports: the exports.
+        may_drop: whether they may leave out frames, rather than let the run wait.
+    """
+    others = exports.recorders()
+    if not others:
+        return recorder
+    return SeveralRecorders(
+        [recorder, BackgroundRecorder(SeveralRecorders(others), may_drop=may_drop)]
+    )
+
+
+class SeveralRecorders:
+    """Passes a run to several recorders; one that fails is removed.
+
+    Args:
+        recorders: any number of recorders.
+    """
+
+    def __init__(self, recorders: Sequence[Recorder]) -> None:
+        self._recorders = list(recorders)
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """Begin all recorders.
+
+        Raises:
+            OutputError: an output of one of them cannot be written.
+        """
+        for recorder in self._recorders:
+            recorder.begin(name, rig, ground_truth)
+
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """Record a frame with all recorders; the snapshot is taken once."""
+        snapshot = cache(snapshot)
+        for recorder in list(self._recorders):
+            try:
+                recorder.record(estimate, snapshot)
+            except Exception as error:  # of any kind: the run goes on
+                self._remove(recorder, error)
+
+    def flush(self) -> None:
+        """Flush all recorders."""
+        for recorder in list(self._recorders):
+            try:
+                recorder.flush()
+            except Exception as error:
+                self._remove(recorder, error)
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Pass the scales to the recorders that use them."""
+        for recorder in self._recorders:
+            if isinstance(recorder, ScaledRecorder):
+                recorder.set_scales(scales)
+
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Pass the loops to the recorders that show them."""
+        for recorder in self._recorders:
+            if isinstance(recorder, LoopRecorder):
+                recorder.set_loops(closures)
+
+    def set_markers(self, seen: SeenMarkers) -> None:
+        """Pass the markers to the recorders that show them."""
+        for recorder in self._recorders:
+            if isinstance(recorder, MarkerRecorder):
+                recorder.set_markers(seen)
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Finish all recorders."""
+        for recorder in list(self._recorders):
+            try:
+                recorder.finish(causal, smoothed)
+            except Exception as error:
+                self._remove(recorder, error)
+
+    def _remove(self, recorder: Recorder, error: Exception) -> None:
+        self._recorders.remove(recorder)
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        name = type(recorder).__name__.removesuffix("Recorder")
+        _log.warning("the %s output stopped and is incomplete: %s", name, reason)

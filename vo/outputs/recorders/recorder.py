@@ -1,0 +1,92 @@
+"""Interface of recorders, and a recorder that records nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
+
+from vo.base.records.closed_loops import ClosedLoop, Relocalisation
+from vo.base.records.metric_scale import MetricScale
+from vo.base.records.seen_markers import SeenMarkers
+from vo.base.types import Estimate, Rig, Snapshot, Trajectory
+
+ImageChoice = Literal["full", "half", "none"]
+TakeSnapshot = Callable[[], Snapshot]
+
+
+class Recorder(Protocol):
+    """Observer of a run, which it never changes.
+
+    Any keyframe, old ones too, may get a new pose at any time: `Estimate.keyframes` contains those
+    that were added or moved.
+    """
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """Before the first frame."""
+
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """After each frame; `snapshot` takes time and can only be called before this returns."""
+
+    def flush(self) -> None:
+        """While no frame comes: write what waits in memory, to survive a killed process."""
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """After the last frame, also of an interrupted run, with both complete paths; closes."""
+
+
+@runtime_checkable
+class ScaledRecorder(Protocol):
+    """A recorder that can write in metres what was recorded in units of the map."""
+
+    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
+        """Before `finish`: the scales of segments; the paths of `finish` stay in map units."""
+
+
+class LoopClosures(NamedTuple):
+    """Loops of a run, and its path before them.
+
+    Attributes:
+        loops: all that were closed.
+        relocalisations: all segments whose place in an older world was found.
+        odometry: the path before any loop, each segment in its own frame.
+        worlds: number of the world of each segment that was connected to another one.
+        scales: length in the world of one unit of odometry, by frame number of each keyframe.
+    """
+
+    loops: tuple[ClosedLoop, ...]
+    relocalisations: tuple[Relocalisation, ...]
+    odometry: Trajectory
+    worlds: Mapping[int, int]
+    scales: Mapping[int, float]
+
+
+@runtime_checkable
+class LoopRecorder(Protocol):
+    """A recorder that shows loops, or what they have connected."""
+
+    def set_loops(self, closures: LoopClosures) -> None:
+        """Before `finish`, if loops were closed."""
+
+
+@runtime_checkable
+class MarkerRecorder(Protocol):
+    """A recorder that shows markers."""
+
+    def set_markers(self, seen: SeenMarkers) -> None:
+        """Before `finish`, if there are any."""
+
+
+class NullRecorder:
+    """Records nothing."""
+
+    def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
+        """Do nothing."""
+
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """Do nothing."""
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        """Do nothing."""

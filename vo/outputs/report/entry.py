@@ -1,0 +1,122 @@
+"""One run of a report: its results, and its evaluation against the ground truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vo.base.types import Bytes, Floats, Ints, Trajectory
+from vo.outputs.evaluation.report import Evaluation
+from vo.outputs.report.run_folder import RunRecord
+
+_NS_PER_S = 1e9
+_LABEL_LENGTH = 40
+_GAP_STEPS = 2.5  # a single missing frame is not a gap
+
+
+@dataclass(frozen=True, eq=False)
+class Thumbnail:
+    """A small image (H, W) of a frame, and the event at this frame."""
+
+    frame: int
+    seconds: float
+    event: str
+    image: Bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A run in a report.
+
+    Attributes:
+        name: short, unique in the report.
+        number: index in the report, which determines the colour.
+        run: its results.
+        evaluation: against the ground truth, None without one.
+        truth: the whole ground truth, None without one.
+        truth_note: source of the ground truth, or the reason why there is none.
+        notes: remarks on the evaluation.
+        thumbnails: images of frames with events.
+        zero_ns: stamp of time 0 in the plots.
+        others: evaluations of the other segments than the longest, each aligned separately.
+        causal_ate_m: root mean square of the position error of the causal path, aligned
+            separately; None if unknown.
+    """
+
+    name: str
+    number: int
+    run: RunRecord
+    evaluation: Evaluation | None = None
+    truth: Trajectory | None = None
+    truth_note: str = ""
+    notes: tuple[str, ...] = ()
+    thumbnails: tuple[Thumbnail, ...] = ()
+    zero_ns: int = 0
+    others: tuple[Evaluation, ...] = ()
+    causal_ate_m: float | None = None
+
+    @property
+    def label(self) -> str:
+        """The name for legends: shortened; matplotlib would hide a leading underscore."""
+        name = self.name
+        if len(name) > _LABEL_LENGTH:
+            name = f"{name[: _LABEL_LENGTH // 2]}…{name[-_LABEL_LENGTH // 2 :]}"
+        return f"\u2009{name}" if name.startswith("_") else name
+
+    def seconds(self, stamps_ns: Ints) -> Floats:
+        """Stamps on the time axis of the plots."""
+        return np.asarray((stamps_ns - self.zero_ns) / _NS_PER_S, dtype=np.float64)
+
+    @property
+    def without_pose_s(self) -> list[tuple[float, float]]:
+        """Time intervals without a causal pose, from the frame before to the frame after.
+
+        They include the time before the first pose.
+        """
+        frames = self.run.frames
+        if frames is None or not len(frames):
+            return []
+        missing = np.concatenate([[False], frames.state != "tracking", [False]])
+        edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
+        seconds = self.seconds(frames.stamp_ns)
+        last = len(frames) - 1
+        return [
+            (float(seconds[max(first - 1, 0)]), float(seconds[min(end, last)]))
+            for first, end in zip(edges[::2], edges[1::2], strict=True)
+        ]
+
+
+def gaps(stamps_ns: Ints) -> list[int]:
+    """Rows of a path before which poses are missing, so that its line is interrupted there."""
+    steps = np.diff(stamps_ns)
+    if len(steps) == 0:
+        return []
+    return [int(row) + 1 for row in np.flatnonzero(steps > _GAP_STEPS * np.median(steps))]
+
+
+def names_of(folders: Sequence[Path]) -> list[str]:
+    """Short unique names of run folders: the last parts of their paths, as few as possible."""
+    parts = [folder.resolve().parts for folder in folders]
+    for count in range(1, max(map(len, parts)) + 1):
+        names = ["/".join(each[-count:]) for each in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{folder} ({number})" for number, folder in enumerate(folders, start=1)]
+
+
+def first_stamps(runs: Sequence[RunRecord]) -> list[int]:
+    """The stamp of time 0 of each run; a common one if all runs overlap in time."""
+    spans = [_span(run) for run in runs]
+    latest_begin = max(begin for begin, _ in spans)
+    earliest_end = min(end for _, end in spans)
+    if latest_begin <= earliest_end:
+        return [min(begin for begin, _ in spans)] * len(runs)
+    return [begin for begin, _ in spans]
+
+
+def _span(run: RunRecord) -> tuple[int, int]:
+    stamps = run.trajectory.stamps_ns if run.frames is None else run.frames.stamp_ns
+    return (int(stamps[0]), int(stamps[-1])) if len(stamps) else (0, 0)

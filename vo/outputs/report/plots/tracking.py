@@ -1,0 +1,97 @@
+"""Matches and inliers, and the uncertainty of the poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vo.outputs.report.entry import Entry
+from vo.outputs.report.plots.style import MUTED, broken, colour, dash, new_figure, shade, thin
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_counts(entry: Entry) -> Figure | None:
+    """Matches and inliers of the frames of one run, with keyframes as ticks."""
+    frames = entry.run.frames
+    if frames is None:
+        return None
+    seconds = entry.seconds(frames.stamp_ns)
+    figure = new_figure(3.0)
+    axes = figure.subplots()
+    for number, (name, counts) in enumerate(
+        (("matches", frames.matches), ("inliers", frames.inliers))
+    ):
+        style = {"color": colour(1 - number), "ls": dash(1 - number), "label": name}
+        axes.plot(*thin(seconds, counts.astype(np.float64)), **style)
+    keyframes = seconds[frames.keyframe == 1]
+    # One line for all ticks: each marker would be an element of the page.
+    ticks = np.tile([0.0, 0.05, np.nan], len(keyframes))
+    style = {"color": MUTED, "lw": 0.8, "transform": axes.get_xaxis_transform()}
+    axes.plot(np.repeat(keyframes, 3), ticks, **style)
+    axes.plot([], [], "|", color=MUTED, ms=8, label=f"keyframes ({len(keyframes)})")
+    shade(axes, entry.without_pose_s, "no pose")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    axes.set(title="Landmarks of the map found in each image", ylabel="count", xlabel="time (s)")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def draw_inliers(entries: Sequence[Entry]) -> Figure | None:
+    """Inliers of several runs."""
+    runs = [(entry, entry.run.frames) for entry in entries if entry.run.frames is not None]
+    if not runs:
+        return None
+    figure = new_figure(2.9)
+    axes = figure.subplots()
+    for entry, frames in runs:
+        number = entry.number
+        curve = thin(entry.seconds(frames.stamp_ns), frames.inliers.astype(np.float64))
+        axes.plot(*curve, color=colour(number), ls=dash(number), lw=1.2, label=entry.label)
+    axes.set(title="Inliers", ylabel="count", xlabel="time (s)")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.01)
+    figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
+    return figure
+
+
+def metres_per_unit(entry: Entry) -> float:
+    """Factor from the run's lengths to metres, by the alignment with the ground truth."""
+    if entry.evaluation is None:
+        return 1.0
+    return float(entry.evaluation.alignment.reference_from_estimate.scale)
+
+
+def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
+    """Standard deviations of keyframe positions and rotations, estimated by the run."""
+    runs = [(entry, entry.run.sigmas) for entry in entries if entry.run.sigmas is not None]
+    if not runs:
+        return None
+    figure = new_figure(3.8)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for entry, sigmas in runs:
+        number = entry.number
+        seconds = entry.seconds(sigmas.stamp_ns)
+        cuts = seconds[np.flatnonzero(np.diff(sigmas.segment)) + 1]
+        style = {"color": colour(number), "ls": dash(number), "label": entry.label}
+        position = metres_per_unit(entry) * sigmas.position
+        for axes, values in ((upper, position), (lower, sigmas.rotation_deg)):
+            axes.plot(*broken(seconds, values, cuts), **style)
+    if len(runs) == 1:
+        for axes in (upper, lower):
+            shade(axes, runs[0][0].without_pose_s)
+    units = sorted({"m" if entry.evaluation else entry.run.unit for entry, _ in runs})
+    upper.set(title="Estimated uncertainty (1σ)", ylabel=f"position ({' or '.join(units)})")
+    lower.set(ylabel="rotation (°)", xlabel="time (s)")
+    for axes in (upper, lower):
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+    if len(runs) > 1 or upper.patches:
+        handles, labels = upper.get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    return figure

@@ -1,0 +1,273 @@
+"""Reads the output folder of `vo run`; missing files are allowed."""
+
+from __future__ import annotations
+
+import csv
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.errors import SourceError
+from vo.base.files.bounded_documents import load_json
+from vo.base.files.bounded_files import read_text
+from vo.base.types import Floats, Ints, Trajectory
+from vo.outputs.report.summary_schema import check_summary
+from vo.recordings.formats.trajectory import read_tum
+
+_log = logging.getLogger(__name__)
+
+_PARTIAL = ".partial"  # of a run that was killed
+_STAGE_SUFFIX = "_ms"
+_MAX_MS = 1e12
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTable:
+    """`frames.csv`: one row per frame, as known when it was processed; arrays are (N,)."""
+
+    frame: Ints
+    stamp_ns: Ints
+    state: NDArray[np.str_]
+    keyframe: Ints
+    matches: Ints
+    inliers: Ints
+    total_ms: Floats
+    stage_ms: Mapping[str, Floats]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+
+@dataclass(frozen=True, eq=False)
+class Sigmas:
+    """Standard deviations of keyframe poses (K,); the position in the length unit of the run."""
+
+    stamp_ns: Ints
+    segment: Ints
+    position: Floats
+    rotation_deg: Floats
+
+
+class MappedMarker(NamedTuple):
+    """A row of `markers.csv`; lengths in metres, in the world of the path.
+
+    Attributes:
+        segment: number of the world.
+        id: of the marker.
+        position: of its middle.
+        sigma_m: standard deviation of the position.
+        views: number of frames that show it.
+        first_frame: number of the first of them.
+        last_frame: number of the last one.
+        error: RMS distance of its corners from their prediction, in standard deviations.
+    """
+
+    segment: int
+    id: int
+    position: tuple[float, float, float]
+    sigma_m: float
+    views: int
+    first_frame: int
+    last_frame: int
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class RunRecord:
+    """Results of a run.
+
+    Attributes:
+        path: its folder.
+        summary: `summary.json`.
+        config: `config.yaml` as text, empty if missing.
+        trajectory: the smoothed path, possibly empty.
+        worlds: stamps (N,) in `poses.csv` and the number (N,) of the segment of each, where merged
+            segments have one number; possibly empty.
+        causal: the causal path with predicted poses of lost frames, possibly empty.
+        odometry: the path before loops, empty without any.
+        frames: None if `frames.csv` is missing.
+        sigmas: None without covariances.
+        markers: where they are, empty without any.
+    """
+
+    path: Path
+    summary: Mapping[str, Any]
+    config: str
+    trajectory: Trajectory
+    worlds: tuple[Ints, Ints]
+    causal: Trajectory
+    odometry: Trajectory
+    frames: FrameTable | None
+    sigmas: Sigmas | None
+    markers: tuple[MappedMarker, ...] = ()
+
+    @property
+    def unit(self) -> str:
+        """Unit of every length."""
+        return str(self.summary.get("length_unit", "m"))
+
+    def segment_of(self, stamps_ns: Ints) -> Ints:
+        """Number (N,) of the segment that contains each stamp, -1 outside of all segments."""
+        numbers = np.full(len(stamps_ns), -1, dtype=np.int64)
+        for segment in self.summary.get("segments", ()):
+            first, last = segment["first_stamp_ns"], segment["last_stamp_ns"]
+            numbers[(stamps_ns >= first) & (stamps_ns <= last)] = segment["segment"]
+        known, segments = self.worlds  # merged segments may have another one in between
+        if len(known):
+            rows = np.minimum(np.searchsorted(known, stamps_ns), len(known) - 1)
+            numbers = np.where(known[rows] == stamps_ns, segments[rows], numbers)
+        return numbers
+
+
+def read_run(folder: Path) -> RunRecord:
+    """Read the folder of a run, finished or not.
+
+    Raises:
+        SourceError: the folder is not that of a run, or a file in it is damaged.
+    """
+    if not folder.is_dir():
+        raise SourceError(f"{folder} is not a folder; use the --output of a `vo run`")
+    return RunRecord(
+        folder,
+        _summary(folder / "summary.json"),
+        _text(folder / "config.yaml"),
+        _trajectory(folder / "trajectory.tum"),
+        _worlds(folder / "poses.csv"),
+        _trajectory(folder / "causal.tum"),
+        _trajectory(folder / "odometry.tum"),
+        _frames(folder / "frames.csv"),
+        _sigmas(folder / "covariance.csv"),
+        _markers(folder / "markers.csv"),
+    )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise SourceError(f"{path.parent} has no {path.name}; use the --output of a `vo run`")
+    try:
+        summary = load_json(read_text(path))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
+    if not isinstance(summary, dict) or "schema_version" not in summary:
+        raise SourceError(f"{path} is not the summary of a run; use the --output of a `vo run`")
+    check_summary(str(path), summary)
+    summary.setdefault("faults", [])  # older runs have none
+    return summary
+
+
+def _text(path: Path) -> str:
+    try:
+        return read_text(path)
+    except (OSError, ValueError):
+        return ""
+
+
+def _existing(path: Path) -> Path | None:
+    """The file, or the partial file of a killed run; None without content."""
+    for each in (path, path.with_name(path.name + _PARTIAL)):
+        if each.is_file() and each.stat().st_size:
+            return each
+    return None
+
+
+def _trajectory(path: Path) -> Trajectory:
+    found = _existing(path)
+    if found is None:
+        return Trajectory(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+    return read_tum(found)
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    found = _existing(path)
+    if found is None:
+        return []
+    try:
+        text = read_text(found)
+        lines, _, cut_off = text.rpartition("\n")
+        if cut_off:
+            _log.warning("%s: the last line is cut off and ignored", found)
+        return list(csv.DictReader(lines.split("\n")))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SourceError(f"{found} cannot be read: {error}; run `vo run` again") from error
+
+
+def _worlds(path: Path) -> tuple[Ints, Ints]:
+    rows = _rows(path)
+    try:
+        stamps, segments = (
+            np.array([int(row[name]) for row in rows], dtype=np.int64)
+            for name in ("stamp_ns", "segment")
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+    return stamps, segments
+
+
+def _frames(path: Path) -> FrameTable | None:
+    rows = _rows(path)
+    if not rows:
+        return None
+    try:
+        counts = {
+            name: np.array([int(row[name]) for row in rows], dtype=np.int64)
+            for name in ("frame", "stamp_ns", "keyframe", "matches", "inliers")
+        }
+        times = {
+            name.removesuffix(_STAGE_SUFFIX): np.array([float(row[name]) for row in rows])
+            for name in rows[0]
+            if name.endswith(_STAGE_SUFFIX)
+        }
+        if not all((np.abs(values) <= _MAX_MS).all() for values in times.values()):
+            raise ValueError("a time is no finite number")
+        state = np.array([row["state"] for row in rows])
+        return FrameTable(**counts, state=state, total_ms=times.pop("total"), stage_ms=times)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+
+
+def _markers(path: Path) -> tuple[MappedMarker, ...]:
+    try:
+        found = tuple(
+            MappedMarker(
+                int(row["segment"]),
+                int(row["id"]),
+                (float(row["tx"]), float(row["ty"]), float(row["tz"])),
+                float(row["sigma_m"]),
+                views=int(row["views"]),
+                first_frame=int(row["first_frame"]),
+                last_frame=int(row["last_frame"]),
+                error=float(row["error"]),
+            )
+            for row in _rows(path)
+        )
+        numbers = [(*each.position, each.sigma_m, each.error) for each in found]
+        if not np.isfinite(numbers).all():
+            raise ValueError("a position is no finite number")
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+    return found
+
+
+def _sigmas(path: Path) -> Sigmas | None:
+    """Square roots of the traces of the 3x3 blocks of rotation and translation."""
+    try:
+        known = [row for row in _rows(path) if row["c_rx_rx"]]
+        if not known:
+            return None
+        rotation, position = (
+            np.array([[float(row[f"c_{axis}_{axis}"]) for axis in axes] for row in known])
+            for axes in (("rx", "ry", "rz"), ("tx", "ty", "tz"))
+        )
+        stamps, segments = (
+            np.array([int(row[name]) for row in known], dtype=np.int64)
+            for name in ("stamp_ns", "segment")
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
+    rotation_rad = np.sqrt(rotation.sum(axis=1))
+    return Sigmas(stamps, segments, np.sqrt(position.sum(axis=1)), np.rad2deg(rotation_rad))

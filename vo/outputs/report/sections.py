@@ -1,0 +1,245 @@
+"""Sections of a report, from top to bottom."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+
+from vo.base.config import Config
+from vo.outputs.report.entry import Entry, Thumbnail
+from vo.outputs.report.markup import Markup, element, join, table
+from vo.outputs.report.plots.catalogue import Plot
+from vo.outputs.report.plots.style import SERIES
+from vo.outputs.report.quantities import number
+from vo.outputs.report.settings import changed_settings
+from vo.outputs.report.svg import inline_svg
+from vo.outputs.report.verdict import key_figures, verdict
+
+_JPEG_QUALITY = 70
+_SIGNS = {"good": "✓", "caution": "!", "bad": "✕"}
+
+
+def run_header(entry: Entry, is_comparison: bool) -> Markup:
+    """Verdict, warnings and, for a report of one run, its key figures."""
+    found = verdict(entry)
+    summary = entry.run.summary
+    sign = element("span", _SIGNS[found.grade], class_="sign", aria_hidden="true")
+    chip = element("span", sign, found.word, class_=f"chip {found.grade}")
+    about = f"{summary['mode']}, {summary['format']}, from {summary['source']}"
+    title = element("h2", _swatch(entry.number) if is_comparison else Markup(), entry.name, chip)
+    parts = [title, element("p", *_sentences(found.sentences), class_="verdict")]
+    if not is_comparison:
+        parts.append(_cards(entry))
+    warnings = [*summary["warnings"], *([summary["error"]] if summary["error"] else [])]
+    if warnings:
+        items = [element("li", text) for text in warnings]
+        parts.append(element("ul", *items, class_="warnings", aria_label="warnings"))
+    notes = [about, *([entry.truth_note] if entry.truth_note else []), *entry.notes]
+    parts.append(element("p", *_lines(notes), class_="notes"))
+    return element("section", *parts, class_="run")
+
+
+def _sentences(sentences: Sequence[str]) -> list[str]:
+    return [Markup(" ") if i % 2 else sentences[i // 2] for i in range(2 * len(sentences) - 1)]
+
+
+def _lines(texts: Sequence[str]) -> list[str]:
+    return [Markup("<br>") if i % 2 else texts[i // 2] for i in range(2 * len(texts) - 1)]
+
+
+def _swatch(number: int) -> Markup:
+    return element(
+        "span", "", class_="swatch", style=f"background:var(--series-{number % len(SERIES)})"
+    )
+
+
+def _cards(entry: Entry) -> Markup:
+    cards = [
+        element(
+            "div",
+            element("dt", each.name),
+            element("dd", each.value),
+            element("dd", each.meaning, class_="meaning"),
+        )
+        for each in key_figures(entry)
+    ]
+    return element("dl", *cards, class_="cards")
+
+
+def comparison(entries: Sequence[Entry]) -> Markup:
+    """A table with a column for every run."""
+    columns = [{each.name: each for each in key_figures(entry)} for entry in entries]
+    names = list(dict.fromkeys(name for column in columns for name in column))
+    rows = [
+        ["verdict", *(verdict(entry).word for entry in entries)],
+        ["cameras", *(str(entry.run.summary["mode"]) for entry in entries)],
+    ]
+    for name in names:
+        found = [column.get(name) for column in columns]
+        rows.append(
+            [name, *("–" if each is None else _cell(each.value, each.meaning) for each in found)]
+        )
+    heading = ["", *(join(_swatch(entry.number), entry.name) for entry in entries)]
+    return element("section", element("h2", "Compared"), table(heading, rows, class_="compared"))
+
+
+def _cell(value: str, meaning: str) -> Markup:
+    return join(value, element("small", meaning))
+
+
+def plot_section(title: str, plots: Sequence[Plot]) -> Markup:
+    """Figures under a heading; empty without figures."""
+    if not plots:
+        return Markup()
+    parts = [element("h2", title)]
+    for plot in plots:
+        picture = inline_svg(plot.figure, plot.name.replace("_", "-"), plot.caption)
+        caption = element("figcaption", plot.caption)
+        parts.append(element("figure", picture, caption, id=f"plot-{plot.name}"))
+    return element("section", *parts)
+
+
+def image_section(entry: Entry, title: str) -> Markup:
+    """Images of frames with events."""
+    if not entry.thumbnails:
+        return Markup()
+    thumbnails = [_thumbnail(each) for each in entry.thumbnails]
+    return element("section", element("h2", title), element("div", *thumbnails, class_="thumbs"))
+
+
+def _thumbnail(thumbnail: Thumbnail) -> Markup:
+    done, data = cv2.imencode(".jpg", thumbnail.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    assert done
+    source = "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+    height, width = thumbnail.image.shape
+    caption = f"{thumbnail.event}: frame {thumbnail.frame}, {thumbnail.seconds:.1f} s"
+    image = Markup(f'<img src="{source}" width="{width}" height="{height}" alt="">')
+    return element("figure", image, element("figcaption", caption))
+
+
+def frames_without_pose(entry: Entry) -> Markup:
+    """Frames without a pose, and the reasons."""
+    ranges = entry.run.summary["without_pose"]
+    if not ranges:
+        return Markup()
+    rows = [
+        [_range(each["first"], each["last"]), str(each["frames"]), each["state"], each["reason"]]
+        for each in ranges
+    ]
+    inside = table(["frames", "number", "state", "reason"], rows)
+    title = element("summary", f"Frames without a pose, {entry.name} ({len(rows)} ranges)")
+    return element("details", title, inside)
+
+
+def _range(first: int, last: int) -> str:
+    return str(first) if first == last else f"{first} to {last}"
+
+
+def segments(entry: Entry) -> Markup:
+    """Segments of the path, if there are several."""
+    found = entry.run.summary["segments"]
+    if len(found) < 2:
+        return Markup()
+    rows = [
+        [str(each["segment"]), _range(each["first_frame"], each["last_frame"])]
+        + [str(each["frames"]), number(each["path_m"])]
+        for each in found
+    ]
+    inside = table(["segment", "frames", "with a pose", f"path ({entry.run.unit})"], rows)
+    return element("details", element("summary", f"Segments, {entry.name}"), inside)
+
+
+def loops(entry: Entry) -> Markup:
+    """Places that were seen again, if there are any."""
+    found = entry.run.summary.get("loops", ())
+    if not found:
+        return Markup()
+    rows = [
+        [str(each["frame"]), str(each["earlier_frame"]), _kind(each), str(each["inliers"])]
+        + [_moved(each["correction_m"]), _moved(each["correction_deg"])]
+        for each in found
+    ]
+    heading = ["frame", "seen before in", "kind", "inliers"]
+    inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
+    return element("details", element("summary", f"Loops, {entry.name}"), inside)
+
+
+def relocalisations(entry: Entry) -> Markup:
+    """Segments whose place in an older world was found, if there are any."""
+    found = entry.run.summary.get("relocalisations", ())
+    if not found:
+        return Markup()
+    rows = [
+        [str(each["frame"]), str(each["segment"]), str(each["earlier_frame"]), str(each["loops"])]
+        + [str(each["inliers"]), _moved(each["correction_m"]), _moved(each["correction_deg"])]
+        for each in found
+    ]
+    heading = ["frame", "segment", "seen before in", "keyframes", "inliers"]
+    inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
+    return element("details", element("summary", f"Relocalisations, {entry.name}"), inside)
+
+
+def _kind(loop: Mapping[str, Any]) -> str:
+    """Kind of a loop, with the id of its marker."""
+    number = loop.get("marker")
+    return str(loop["kind"]) if number is None else f"{loop['kind']} ({number})"
+
+
+def markers(entry: Entry) -> Markup:
+    """Markers and where they are, if there are any."""
+    found = entry.run.markers
+    if not found:
+        return Markup()
+    rows = [
+        [str(each.id), str(each.segment), *(f"{value:.3f}" for value in each.position)]
+        + [number(1000.0 * each.sigma_m), str(each.views)]
+        + [_range(each.first_frame, each.last_frame), number(each.error)]
+        for each in found
+    ]
+    heading = ["id", "segment", "x (m)", "y (m)", "z (m)", "sigma (mm)", "views", "frames"]
+    inside = table([*heading, "error (sigma)"], rows)
+    return element("details", element("summary", f"Markers, {entry.name}"), inside)
+
+
+def _moved(value: float | None) -> str:
+    return "–" if value is None else number(value)
+
+
+def settings(entries: Sequence[Entry]) -> Markup:
+    """Settings that differ from the defaults, and all settings of each run."""
+    parts = [element("h2", "Settings")]
+    changed = changed_settings([entry.run.config for entry in entries], Config())
+    if changed:
+        rows = [[name, *values] for name, values in changed.items()]
+        parts.append(
+            table(["different from the default", *(entry.name for entry in entries)], rows)
+        )
+    else:
+        parts.append(element("p", "All settings have their default values."))
+    for entry in entries:
+        text = element("pre", entry.run.config or "config.yaml is missing")
+        parts.append(element("details", element("summary", f"config.yaml of {entry.name}"), text))
+    return element("section", *parts)
+
+
+def provenance(entries: Sequence[Entry]) -> Markup:
+    """Recordings, frames and software versions of the runs."""
+    keys = list(dict.fromkeys(key for e in entries for key in e.run.summary["versions"]))
+    rows = [
+        ["source", *(str(e.run.summary["source"]) for e in entries)],
+        ["folder", *(str(e.run.path.resolve()) for e in entries)],
+        ["frames", *(_requested_frames(e) for e in entries)],
+        ["seed", *(str(e.run.summary["seed"]) for e in entries)],
+        *([key, *(str(e.run.summary["versions"].get(key, "–")) for e in entries)] for key in keys),
+    ]
+    inside = table(["", *(entry.name for entry in entries)], rows)
+    return element("details", element("summary", "Recordings and versions"), inside)
+
+
+def _requested_frames(entry: Entry) -> str:
+    summary = entry.run.summary
+    stride = f", every {summary['stride']}." if summary["stride"] != 1 else ""
+    return f"{summary['start']} to {summary['end']}{stride}"

@@ -1,0 +1,140 @@
+"""The output folder of a run and its files."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from vo.base.errors import OutputError
+from vo.base.types import Trajectory
+from vo.outputs.results.covariance import COVARIANCE_HEADING
+from vo.outputs.results.frames import FRAMES_HEADING
+from vo.outputs.results.growing_file import PARTIAL_SUFFIX, GrowingFile
+from vo.outputs.results.poses import POSES_HEADING
+from vo.outputs.results.reserved_space import ReservedSpace
+from vo.recordings.formats.trajectory import tum_line
+
+TRAJECTORY = "trajectory.tum"
+CAUSAL = "causal.tum"
+ODOMETRY = "odometry.tum"
+COVARIANCE = "covariance.csv"
+POSES = "poses.csv"
+FRAMES = "frames.csv"
+SUMMARY = "summary.json"
+CONFIG = "config.yaml"
+
+_GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
+GEOJSON, KML = "path.geojson", "path.kml"  # only with --georeference
+MARKERS = "markers.csv"  # only with --markers
+
+RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, GEOJSON, KML, MARKERS)
+PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
+
+
+class RunFolder:
+    """The files that a run writes while it goes on.
+
+    Attributes:
+        path: the folder.
+        trajectory: smoothed poses, one line per frame.
+        causal: poses as known when their frame was tracked.
+        poses: smoothed poses, with number, segment and kind of their frame.
+        covariance: one line per keyframe.
+        frames: one line per frame, as known when it was processed.
+
+    Args:
+        path: the folder; created if it is missing; files of an earlier run are removed.
+        config: the merged settings as YAML.
+
+    Raises:
+        OutputError: here and in every method: a file cannot be written.
+    """
+
+    def __init__(self, path: Path, config: str) -> None:
+        self.path = path
+        self._is_finished = False
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+            for name in (*RESULTS, *PARTIAL_FILES):
+                (path / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"cannot write to folder {path}: {error.strerror or error}; choose another --output"
+            ) from error
+        write_atomically(path / CONFIG, config)
+        self._summary_space = ReservedSpace(path)
+        self.trajectory = GrowingFile(path / TRAJECTORY)
+        self.causal = GrowingFile(path / CAUSAL)
+        self.poses = GrowingFile(path / POSES, POSES_HEADING)
+        self.covariance = GrowingFile(path / COVARIANCE, COVARIANCE_HEADING)
+        self.frames = GrowingFile(path / FRAMES, FRAMES_HEADING)
+
+    @property
+    def _growing(self) -> tuple[GrowingFile, ...]:
+        return self.trajectory, self.causal, self.poses, self.covariance, self.frames
+
+    def write_summary(self, summary: dict[str, Any]) -> None:
+        """Replace the summary atomically, on a full disk too."""
+        text = json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+        path = self.path / SUMMARY
+        try:
+            write_atomically(path, text)
+        except OutputError:
+            if not self._summary_space.write(path, _partial(path), _encoded(text)):
+                raise
+
+    def write_odometry(self, path: Trajectory) -> None:
+        """Write the path before loops were closed, beside the one after."""
+        lines = map(tum_line, path.stamps_ns.tolist(), path.world_from_cam)
+        write_atomically(self.path / ODOMETRY, "".join(f"{line}\n" for line in lines))
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the files have their final names."""
+        return self._is_finished
+
+    def finish(self) -> None:
+        """Close the files and give them their final names; an error of one is raised at the end."""
+        self._is_finished = True
+        errors = []
+        for file in self._growing:
+            try:
+                file.finish()
+            except OutputError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    def close(self) -> None:
+        """Close the files, finished or not."""
+        for file in self._growing:
+            file.close()
+        self._summary_space.close()
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write to a temporary file and rename it, so that readers never see a partial file.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    partial = _partial(path)
+    try:
+        partial.write_bytes(_encoded(text))
+        os.replace(partial, path)
+    except OSError as error:
+        with suppress(OSError):
+            partial.unlink()
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _partial(path: Path) -> Path:
+    return path.with_name(path.name + PARTIAL_SUFFIX)
+
+
+def _encoded(text: str) -> bytes:
+    # File names may contain bytes that are not UTF-8; JSON reads this form back.
+    return text.encode("utf-8", "backslashreplace")

@@ -1,0 +1,354 @@
+"""Summary of a run, as written to `summary.json`; docs/outputs.md explains every key."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from vo.base.failures import Failure
+from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
+from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
+from vo.base.records.inertial_use import InertialUse
+from vo.base.records.metric_scale import ScaleFindings, has_all_scales
+from vo.base.records.placed_frames import PlacedFrames
+from vo.base.types import Ints, Skipped, State
+from vo.outputs.results.environment import peak_rss_mb, versions
+from vo.outputs.results.fault_log import FaultRecord
+from vo.outputs.results.frames_without_pose import FrameRange, ranges_without_pose
+from vo.outputs.results.live_summary import LiveState, LiveSummary, delay_of
+from vo.outputs.results.profile import Profile
+from vo.outputs.results.run_statistics import RunStatistics, StageTime
+from vo.outputs.results.verdict import Verdict, VerdictFacts, assess
+from vo.outputs.results.warnings import run_warnings
+
+Status = Literal["finished", "interrupted", "failed"]
+
+SCHEMA_VERSION = 1
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """Properties of a run that are known before its first frame.
+
+    Of the `requested` frames every `every`-th is tracked. `calibration`, `topics` and
+    `right_offset_ns` are those given by the user.
+    """
+
+    source: str
+    format: str
+    mode: Literal["mono", "stereo", "rgbd"]
+    has_ground_truth: bool
+    seed: int
+    start: int
+    end: int
+    stride: int
+    requested: int
+    every: int = 1
+    calibration: str | None = None
+    topics: tuple[str, ...] = ()
+    right_offset_ns: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RunState:
+    """A run as far as it has come.
+
+    Attributes:
+        facts: what was known before the first frame.
+        status: how the run ended, or would have ended if it stopped now.
+        statistics: over the processed frames.
+        path: the frames that have a pose.
+        keyframes: number of keyframes.
+        skipped: frames that could not be read.
+        unpaired: number of frames without their right or depth image.
+        wall_s: duration.
+        calibration: errors of the calibration that were found.
+        error: message of the error that ended the run, None without one.
+        profile: None if it was not requested.
+        live: None for a recording.
+        hidden: ratio of the recorded images that masks hide, by camera.
+        loops: that were closed.
+        relocalisations: segments whose place in an older world was found.
+        map_use: the loaded map, None without one.
+        networks: what is known of each network in use.
+        scale: what sources of the metric scale have measured, None without any or before the end.
+        inertial: the inertial sensor, None without one.
+    """
+
+    facts: RunFacts
+    status: Status
+    statistics: RunStatistics
+    path: PlacedFrames
+    keyframes: int
+    skipped: Sequence[Skipped]
+    unpaired: int
+    wall_s: float
+    calibration: CalibrationErrors
+    error: str | None = None
+    profile: Profile | None = None
+    live: LiveState | None = None
+    hidden: tuple[float, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
+    relocalisations: tuple[Relocalisation, ...] = ()
+    map_use: MapUse | None = None
+    networks: tuple[Mapping[str, str], ...] = ()
+    scale: ScaleFindings | None = None
+    inertial: InertialUse | None = None
+
+
+class Segment(NamedTuple):
+    """A part of the path with its own world frame; lengths in the summary's unit.
+
+    Segments that were connected later are one, with the number of the first.
+    """
+
+    segment: int
+    first_frame: int
+    last_frame: int
+    first_stamp_ns: int
+    last_stamp_ns: int
+    frames: int
+    path_m: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Summary of a run; `to_dict` gives the content of `summary.json`."""
+
+    status: Status
+    error: str | None
+    facts: RunFacts
+    frames: int
+    tracked: int
+    interpolated: int
+    inertial_poses: int
+    inertial_orientations: int
+    untracked: int
+    starting: int
+    lost: int
+    skipped: tuple[Skipped, ...]
+    unpaired: int
+    without_pose: tuple[FrameRange, ...]
+    segments: tuple[Segment, ...]
+    keyframes: int
+    landmarks: int
+    path_m: float
+    wall_s: float
+    stages: Mapping[str, StageTime]
+    peak_rss_mb: float
+    versions: Mapping[str, str]
+    median_inliers: float | None
+    median_disparity_px: float | None
+    disparity_offset_px: float
+    disparity_curve_px: float = 0.0
+    right_camera: RightCameraError | None = None
+    lens_error: LensError | None = None
+    main_failure: Failure | None = None
+    faults: tuple[FaultRecord, ...] = ()
+    profile: Profile | None = None
+    live: LiveSummary | None = None
+    hidden: tuple[float, ...] = ()
+    loops: tuple[ClosedLoop, ...] = ()
+    relocalisations: tuple[Relocalisation, ...] = ()
+    map_use: MapUse | None = None
+    networks: tuple[Mapping[str, str], ...] = ()
+    scale: ScaleFindings | None = None
+    inertial: InertialUse | None = None
+
+    @property
+    def is_metric(self) -> bool:
+        """Whether every length is in metres: in mono, whether all segments have a scale."""
+        if self.facts.mode != "mono":
+            return True
+        scales = {} if self.scale is None else self.scale.by_segment()
+        upright = () if self.inertial is None else self.inertial.metric_worlds
+        known = () if self.map_use is None else self.map_use.metric_worlds
+        worlds = [each.segment for each in self.segments]
+        return has_all_scales(worlds, {*scales, *upright, *known})
+
+    @property
+    def length_unit(self) -> str:
+        """Unit of every length: metres, or the arbitrary units of a mono map."""
+        return "m" if self.is_metric else "map units"
+
+    @property
+    def frames_per_s(self) -> float:
+        """Processed frames per second of wall time."""
+        return self.frames / self.wall_s if self.wall_s > 0 else 0.0
+
+    @property
+    def verdict(self) -> Verdict:
+        """How complete the path is, and whether it can be trusted."""
+        return assess(
+            VerdictFacts(
+                self.status,
+                self.frames,
+                self.tracked + self.interpolated,
+                len(self.segments),
+                self.median_inliers,
+                any(loop.joins for loop in self.loops)
+                or not all(record.is_handled for record in self.faults),
+                self.disparity_offset_px,
+                bool(self.warnings),
+            )
+        )
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Conditions that make the result less accurate or incomplete."""
+        return tuple(run_warnings(self))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        facts, stages = fields.pop("facts"), fields.pop("stages")
+        del fields["map_use"], fields["scale"]
+        del fields["main_failure"]  # without_pose has the reasons
+        profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
+        live: LiveSummary | None = fields.pop("live")
+        inertial: InertialUse | None = fields.pop("inertial")
+        return {
+            "schema_version": SCHEMA_VERSION,
+            **fields,
+            **asdict(facts),
+            "right_camera": None if right is None else _rounded(right),
+            "lens_error": None if lens is None else _rounded(lens, 5),
+            "topics": list(facts.topics),
+            "hidden": list(self.hidden),
+            "loops": [_loop_fields(loop) for loop in self.loops],
+            "relocalisations": [_loop_fields(found) for found in self.relocalisations],
+            **({} if self.map_use is None else {"map": asdict(self.map_use)}),
+            **({} if self.scale is None else _scale_fields(self.scale)),
+            "networks": [dict(network) for network in self.networks],
+            **({} if inertial is None else {"inertial": inertial.to_dict()}),
+            "skipped": [asdict(s) for s in self.skipped],
+            "faults": [record.to_dict() for record in self.faults],
+            "without_pose": [_range_fields(r) for r in self.without_pose],
+            "segments": [s._asdict() for s in self.segments],
+            "stages": {name: _rounded(times) for name, times in stages.items()},
+            **({} if profile is None else {"profile": profile._asdict()}),
+            **({} if live is None else {"live": live.to_dict()}),
+            "versions": dict(self.versions),
+            "length_unit": self.length_unit,
+            "frames_per_s": round(self.frames_per_s, 3),
+            "warnings": list(self.warnings),
+            "verdict": self.verdict.word,
+            "trusted": self.verdict.is_trusted,
+        }
+
+
+def summarise(state: RunState) -> Summary:
+    """Summary of a run that has finished or is still going on."""
+    facts, statistics, path = state.facts, state.statistics, state.path
+    ranges, count = ranges_without_pose(
+        statistics, path.frame_index, state.skipped, _untracked(facts, state.status, statistics)
+    )
+    interpolated = int(path.interpolated.sum())
+    inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
+    turned = 0 if path.inertial is None else int(np.count_nonzero(path.inertial == -2))
+    segments = _segments(path)
+    tracked = len(path.frame_index) - interpolated - inertial
+    # The disparities of a depth camera are relative to a virtual right camera.
+    disparity_px = statistics.median_disparity_px if facts.mode == "stereo" else None
+    return Summary(
+        status=state.status,
+        error=state.error,
+        facts=facts,
+        frames=len(path.frame_index) + sum(count.values()),
+        tracked=tracked,
+        interpolated=interpolated,
+        inertial_poses=inertial - turned,
+        inertial_orientations=turned,
+        untracked=count["untracked"],
+        starting=count[State.STARTING.value],
+        lost=count[State.LOST.value],
+        skipped=tuple(state.skipped),
+        unpaired=state.unpaired,
+        without_pose=tuple(ranges),
+        segments=tuple(segments),
+        # Orientations alone are stored relative to an origin, which is no keyframe.
+        keyframes=state.keyframes if tracked else 0,
+        landmarks=statistics.landmarks,
+        path_m=round(sum(s.path_m for s in segments), 6),
+        wall_s=round(state.wall_s, 3),
+        stages=statistics.stages(),
+        peak_rss_mb=round(peak_rss_mb(), 1),
+        versions=versions(),
+        median_inliers=statistics.median_inliers,
+        median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
+        disparity_offset_px=round(state.calibration.disparity_offset_px, 4),
+        disparity_curve_px=round(state.calibration.disparity_curve_px, 4),
+        right_camera=state.calibration.right_camera,
+        lens_error=state.calibration.lens_error,
+        main_failure=statistics.main_failure(),
+        faults=statistics.faults.records(),
+        hidden=tuple(round(ratio, 4) for ratio in state.hidden),
+        networks=state.networks,
+        scale=state.scale,
+        inertial=state.inertial,
+        loops=state.loops,
+        relocalisations=state.relocalisations,
+        map_use=state.map_use,
+        profile=state.profile,
+        live=None
+        if state.live is None
+        else LiveSummary(state.live, delay_of(statistics.delays_ms)),
+    )
+
+
+def _untracked(facts: RunFacts, status: Status, statistics: RunStatistics) -> Ints:
+    """Numbers of the frames so far that `tracking.every` left out."""
+    if facts.every == 1 or not statistics.frames:
+        return np.empty(0, np.int64)
+    stop = facts.end if status == "finished" else statistics.frames[-1] + 1
+    requested = np.arange(facts.start, stop, facts.stride)
+    return np.asarray(requested[np.arange(len(requested)) % facts.every != 0])
+
+
+def _range_fields(range_: FrameRange) -> dict[str, Any]:
+    fields = range_._asdict()
+    del fields["defect"]  # it is part of the reason
+    return fields
+
+
+def _scale_fields(found: ScaleFindings) -> dict[str, Any]:
+    frames = {"world_frames": [frame.to_dict() for frame in found.frames]} if found.frames else {}
+    return {"scales": [scale.to_dict() for scale in found.scales], **frames}
+
+
+def _loop_fields(loop: ClosedLoop | Relocalisation) -> dict[str, Any]:
+    fields = asdict(loop)
+    for name in ("earlier_session", "marker"):
+        if fields.get(name, 0) is None:
+            del fields[name]
+    for name in ("correction_m", "correction_deg"):
+        fields[name] = None if fields[name] is None else round(fields[name], 4)
+    return fields
+
+
+def _segments(path: PlacedFrames) -> list[Segment]:
+    steps = np.linalg.norm(np.diff(path.trajectory.positions, axis=0), axis=1)
+    steps[np.diff(path.segment) != 0] = 0.0  # the way between segments is unknown
+    segments = []
+    for number in sorted(set(path.world.tolist())):
+        rows = np.flatnonzero(path.world == number)
+        first, last = int(rows[0]), int(rows[-1])
+        segments.append(
+            Segment(
+                number,
+                int(path.frame_index[first]),
+                int(path.frame_index[last]),
+                int(path.trajectory.stamps_ns[first]),
+                int(path.trajectory.stamps_ns[last]),
+                len(rows),
+                round(float(steps[rows[:-1]].sum()), 6),
+            )
+        )
+    return segments
+
+
+def _rounded(values: StageTime | RightCameraError | LensError, digits: int = 3) -> dict[str, float]:
+    return {name: round(value, digits) for name, value in values._asdict().items()}

@@ -1,0 +1,90 @@
+"""All outputs of a run that receive each pose as soon as it is known."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+
+from vo.base.errors import OutputError
+from vo.base.faults import Fault
+from vo.base.types import Estimate
+from vo.outputs.streaming.address import open_address
+from vo.outputs.streaming.pose_record import PoseRecords, encoded
+from vo.outputs.streaming.sink import PoseSink, PoseUpdate
+
+_log = logging.getLogger(__name__)
+
+
+class PoseStreams:
+    """Sends each frame to several outputs; one that fails is left out from then on.
+
+    Args:
+        sinks: any number of outputs.
+    """
+
+    def __init__(self, sinks: Sequence[PoseSink] = ()) -> None:
+        self._sinks = list(sinks)
+        self._stop: KeyboardInterrupt | None = None
+
+    def begin(
+        self, *, is_metric: bool, faults: Sequence[Fault] = (), is_live: bool = False
+    ) -> None:
+        """Before the first frame; the arguments are those of `PoseRecords` and `PoseUpdate`."""
+        self._records = PoseRecords(is_metric=is_metric, faults=faults)
+        self._is_live = is_live
+
+    def send(self, estimate: Estimate, *, is_metric: bool = False) -> None:
+        """Send one frame. Whatever happens, the run can finish the frame: see `check`.
+
+        Args:
+            estimate: of the frame.
+            is_metric: whether an inertial sensor has given its lengths the metre.
+        """
+        if not self._sinks:
+            return
+        record = encoded(self._records.record(estimate, is_metric=is_metric))
+        update = PoseUpdate(estimate, record, self._is_live)
+        for sink in list(self._sinks):
+            try:
+                sink.send(update)
+            except BrokenPipeError:
+                self._sinks.remove(sink)
+                self._stop = KeyboardInterrupt(signal.SIGPIPE)
+            except KeyboardInterrupt as stop:  # while the reader let it wait
+                self._sinks.remove(sink)  # perhaps in the middle of a line
+                self._stop = stop
+            except Exception as error:  # of any kind: the run goes on
+                self._sinks.remove(sink)
+                reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+                _log.warning("%s: no more poses are written: %s", sink.name, reason)
+
+    def check(self) -> None:
+        """End the run if the only reader of an output is gone.
+
+        Raises:
+            KeyboardInterrupt: with the number of SIGPIPE, or of the signal that came while an
+                output waited for its reader.
+        """
+        if self._stop is not None:
+            raise self._stop
+
+
+@contextmanager
+def opened_streams(targets: Sequence[str | PoseSink]) -> Iterator[PoseStreams]:
+    """Outputs to addresses (see `open_address`), or outputs of one's own; closed at the end.
+
+    Raises:
+        OutputError: an address is invalid, given twice, or cannot be used.
+    """
+    with ExitStack() as stack:
+        sinks: list[PoseSink] = []
+        for number, target in enumerate(targets):
+            if target in targets[:number]:
+                name = target if isinstance(target, str) else target.name
+                raise OutputError(f"{name} is given twice for poses; leave one out")
+            sink = open_address(target) if isinstance(target, str) else target
+            stack.callback(sink.close)
+            sinks.append(sink)
+        yield PoseStreams(sinks)

@@ -1,0 +1,1 @@
+"""Recordings as frames, and the formats of their files."""

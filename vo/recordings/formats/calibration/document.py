@@ -1,0 +1,132 @@
+"""Records: a calibration file as text and sections, and the calibration read from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vo.base.errors import CalibrationError
+from vo.base.files.bounded_files import read_bytes, read_text
+from vo.base.types import Floats, ImuNoise, Rig
+from vo.recordings.formats.calibration.archive import is_npz, read_archive
+from vo.recordings.formats.calibration.markup import MAX_YAML_BYTES, sections_of
+
+ImageSize = tuple[int, int]
+
+_MAX_LARGE_BYTES = 16 * 2**20
+"""Of archives, and of JSON, which is fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class ImuCalibration:
+    """What a calibration file contains about the inertial sensor.
+
+    Attributes:
+        cam0_from_imu: (4, 4) pose of the sensor relative to cam0; None if unknown.
+        noise: its noise; None if unknown.
+        time_offset_s: what to add to the stamp of an image to get the same moment on the clock of
+            the sensor, seconds (Kalibr's `timeshift_cam_imu`); 0 if unknown.
+    """
+
+    cam0_from_imu: Floats | None = None
+    noise: ImuNoise | None = None
+    time_offset_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Content of a calibration file.
+
+    Attributes:
+        rig: the cameras.
+        body_from_cam0: (4, 4) pose of cam0 in the body frame, whose poses the ground truth of the
+            recording contains; None if unknown.
+        depth_per_metre: units of a depth image per metre, None if unknown.
+        imu: the inertial sensor.
+        kind: name of the file format, a key of `FORMATS`.
+        file: the file, for error messages; None if it was not read from a calibration file.
+    """
+
+    rig: Rig
+    body_from_cam0: Floats | None = None
+    depth_per_metre: float | None = None
+    imu: ImuCalibration = ImuCalibration()
+    kind: str = ""
+    file: Path | None = None
+
+
+@dataclass(frozen=True)
+class Document:
+    """A calibration file of a format not yet detected.
+
+    Attributes:
+        path: the file, for error messages and to find files beside it.
+        text: its content.
+        data: its content parsed as YAML, JSON or XML; empty if it is not a mapping.
+        problem: why it could not be parsed; empty if it could.
+    """
+
+    path: Path
+    text: str
+    data: Mapping[str, Any]
+    problem: str = ""
+
+    def section(self, name: str) -> Mapping[str, Any]:
+        """The mapping under a top-level key.
+
+        Raises:
+            CalibrationError: there is none.
+        """
+        return as_section(f"{self.path}: {name}", self.data.get(name))
+
+
+def as_section(where: str, value: Any) -> Mapping[str, Any]:
+    """The value, checked to be a mapping.
+
+    Raises:
+        CalibrationError: it is not a mapping.
+    """
+    if not isinstance(value, Mapping):
+        raise CalibrationError(
+            f"{where} is {shortened(value)}, not a section; see docs/calibration.md"
+        )
+    return value
+
+
+def shortened(value: Any) -> str:
+    """Representation of a value for an error message, on one line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def load_document(path: Path) -> Document:
+    """Read a calibration file of any format as text and sections.
+
+    Raises:
+        CalibrationError: the file is missing, far too large or not text.
+    """
+    try:
+        is_json = path.suffix.lower() == ".json"
+        max_bytes = _MAX_LARGE_BYTES if is_json or is_npz(path) else MAX_YAML_BYTES
+        if path.is_file() and path.stat().st_size > max_bytes:
+            raise CalibrationError(
+                f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "
+                f"only the cameras, below {max_bytes} bytes"
+            )
+        if is_npz(path):
+            return Document(path, "", *read_archive(read_bytes(path, max_bytes)))
+        if is_json:  # perhaps one long line
+            text = read_bytes(path, max_bytes).decode("utf-8-sig")
+        else:
+            text = read_text(path, max_bytes)
+    except FileNotFoundError as error:
+        raise CalibrationError(f"calibration file {path} does not exist") from error
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"calibration file {path} is not text") from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise CalibrationError(f"calibration file {path} cannot be read: {reason}") from error
+    data, problem = sections_of(text)
+    return Document(path, text, data, problem)

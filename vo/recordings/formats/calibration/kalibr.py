@@ -1,0 +1,126 @@
+"""Reader of Kalibr's `camchain.yaml`, and of OpenVINS' files of the same layout.
+
+Uses the first two cameras. `T_cn_cnm1` is cam1_from_cam0, `T_cam_imu` is cam_from_imu, and
+OpenVINS' `T_imu_cam` is imu_from_cam. The noise of the IMU is in a file beside (`kalibr_imu`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+
+from vo.base.errors import CalibrationError
+from vo.base.geometry.transforms import inverse, rotation_angle
+from vo.base.types import Camera, Floats, Rig
+from vo.recordings.formats.calibration.checks import check_baseline, make_camera, make_transform
+from vo.recordings.formats.calibration.document import (
+    Calibration,
+    Document,
+    ImageSize,
+    ImuCalibration,
+)
+from vo.recordings.formats.calibration.imu import make_time_offset
+from vo.recordings.formats.calibration.kalibr_imu import kalibr_noise
+from vo.recordings.formats.calibration.keys import Entry, Values, find_distortion
+
+_OWN_KEYS = (
+    "camera_model", "distortion_coeffs", "T_cam_imu", "T_imu_cam", "T_cn_cnm1", "cam_overlaps",
+)  # fmt: skip
+_MAX_DISAGREEMENT_RAD = 0.02
+_MAX_DISAGREEMENT = 0.1  # of the baseline
+_log = logging.getLogger(__name__)
+
+
+def recognises(document: Document) -> bool:
+    """Whether the section cam0 has Kalibr's keys."""
+    cam0 = document.data.get("cam0")
+    return isinstance(cam0, Mapping) and any(key in cam0 for key in _OWN_KEYS)
+
+
+def read(document: Document, image_size: ImageSize | None) -> Calibration:
+    """Read cam0 and cam1, if any.
+
+    Raises:
+        CalibrationError: a value is missing or implausible.
+    """
+    cam0 = _camera(document, "cam0", image_size)
+    imu_from_cam0 = _imu_from_camera(document, "cam0")
+    imu = ImuCalibration(
+        None if imu_from_cam0 is None else inverse(imu_from_cam0),
+        kalibr_noise(document),
+        make_time_offset(
+            f"{document.path}: cam0.timeshift_cam_imu",
+            document.section("cam0").get("timeshift_cam_imu"),
+        ),
+    )
+    if "cam1" not in document.data:
+        return Calibration(Rig(cam0), imu_from_cam0, imu=imu)
+    cam1 = _camera(document, "cam1", image_size)
+    cam1_from_cam0 = _cam1_from_cam0(document, imu_from_cam0)
+    return Calibration(Rig(cam0, cam1, cam1_from_cam0), imu_from_cam0, imu=imu)
+
+
+def _camera(document: Document, name: str, image_size: ImageSize | None) -> Camera:
+    section = document.section(name)
+    where = f"{document.path}: {name}"
+    values, model = Values(section), section.get("camera_model")
+    distortion: tuple[float, ...] = ()
+    if model in (None, "pinhole", "omni") and section.get("distortion_model") != "none":
+        beside = Entry("intrinsics", section.get("intrinsics"))
+        distortion = find_distortion(where, values, beside)
+    return make_camera(
+        where,
+        model=model or "pinhole",
+        resolution=section.get("resolution", image_size),
+        intrinsics=section.get("intrinsics"),
+        distortion_model=section.get("distortion_model"),
+        distortion=distortion or section.get("distortion_coeffs"),
+    )
+
+
+def _imu_from_camera(document: Document, name: str) -> Floats | None:
+    """Pose of a camera on the IMU, (4, 4); None if the file does not contain it."""
+    section, where = document.section(name), f"{document.path}: {name}"
+    if section.get("T_imu_cam") is not None:
+        return make_transform(f"{where}.T_imu_cam", section["T_imu_cam"])
+    if section.get("T_cam_imu") is not None:
+        return inverse(make_transform(f"{where}.T_cam_imu", section["T_cam_imu"]))
+    return None
+
+
+def _cam1_from_cam0(document: Document, imu_from_cam0: Floats | None) -> Floats:
+    where = f"{document.path}: cam1"
+    value = document.section("cam1").get("T_cn_cnm1")
+    imu_from_cam1 = _imu_from_camera(document, "cam1")
+    if value is not None:
+        cam1_from_cam0 = make_transform(f"{where}.T_cn_cnm1", value)
+        check_baseline(f"{where}.T_cn_cnm1", cam1_from_cam0)
+        if imu_from_cam0 is not None and imu_from_cam1 is not None:
+            by_imu = inverse(imu_from_cam1) @ imu_from_cam0
+            _check_agreement(document, cam1_from_cam0, by_imu)
+        return cam1_from_cam0
+    if imu_from_cam0 is None or imu_from_cam1 is None:
+        raise CalibrationError(
+            f"{where}.T_cn_cnm1 is missing; it is the pose of the camera, a 4x4 matrix; T_cam_imu "
+            "of both cameras does as well"
+        )
+    cam1_from_cam0 = inverse(imu_from_cam1) @ imu_from_cam0
+    check_baseline(f"{where}: pose on the IMU", cam1_from_cam0)
+    return cam1_from_cam0
+
+
+def _check_agreement(document: Document, cam1_from_cam0: Floats, by_imu: Floats) -> None:
+    """Warn if the poses of both cameras on the IMU contradict that of cam1 relative to cam0."""
+    off = inverse(cam1_from_cam0) @ by_imu
+    angle, shift = float(rotation_angle(off[:3, :3])), float(np.linalg.norm(off[:3, 3]))
+    baseline = float(np.linalg.norm(cam1_from_cam0[:3, 3]))
+    if angle > _MAX_DISAGREEMENT_RAD or shift > _MAX_DISAGREEMENT * baseline:
+        _log.warning(
+            "%s: the poses of cam0 and cam1 on the IMU contradict T_cn_cnm1 by %.2g degrees and "
+            "%.2g m; is T_cam_imu the pose of the camera on the IMU instead of its inverse?",
+            document.path,
+            np.degrees(angle),
+            shift,
+        )

@@ -1,0 +1,89 @@
+"""Parser of YAML (including OpenCV's dialects), JSON and OpenCV's XML to nested mappings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+from xml.etree import ElementTree
+
+import yaml
+
+from vo.base.files.bounded_documents import SafeLoader, load_json, load_yaml
+
+# Errors of the parsers, and of the constructors of values that they do not catch.
+_FAILURES = (
+    ElementTree.ParseError,
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
+MAX_YAML_BYTES = 500_000
+"""YAML takes about 7 s per megabyte; calibration files with all board corners have 0.1 MB."""
+_OPENCV_HEADER = re.compile(r"\A\s*%YAML[: ]1\.\d[^\n]*\n")
+_KEY_WITHOUT_SPACE = re.compile(r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", re.MULTILINE)
+
+
+class _Loader(SafeLoader):
+    """Safe YAML loader that reads OpenCV's matrices as mappings."""
+
+
+def _matrix(loader: _Loader, node: yaml.MappingNode) -> Any:
+    return loader.construct_mapping(node, deep=True)
+
+
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
+
+
+def sections_of(text: str) -> tuple[Mapping[str, Any], str]:
+    """The top-level mapping of a text and "", or an empty mapping and the reason.
+
+    Only the first document of a YAML stream is read: `ros2 topic echo` writes several.
+    """
+    start = text.lstrip()[:1]
+    language = {"<": "XML", "{": "JSON"}.get(start, "YAML")
+    try:
+        if start == "<":
+            return _xml(text), ""
+        data = _json(text) if start == "{" else _yaml(text)
+    except _FAILURES as error:
+        return {}, f"is not {language}: {' '.join(str(error).split())}"
+    return (data, "") if isinstance(data, Mapping) else ({}, "")
+
+
+def _json(text: str) -> Any:
+    """The value of a JSON text, or of YAML that begins like JSON."""
+    try:
+        return load_json(text)
+    except ValueError as error:
+        if len(text) > MAX_YAML_BYTES:
+            raise
+        try:
+            return _yaml(text)
+        except _FAILURES:
+            raise error from None
+
+
+def _yaml(text: str) -> Any:
+    if _OPENCV_HEADER.match(text):
+        text = _OPENCV_HEADER.sub("", text)
+        text = _KEY_WITHOUT_SPACE.sub(r"\1: ", text)  # OpenCV allows `key:value`
+    return load_yaml(text.replace("\t", " "), _Loader, first_only=True)
+
+
+def _xml(text: str) -> dict[str, Any]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError("declarations of entities are not allowed")
+    return {node.tag: _xml_value(node) for node in ElementTree.fromstring(text)}
+
+
+def _xml_value(node: ElementTree.Element) -> Any:
+    if len(node) == 0:
+        words = (node.text or "").split()
+        return words[0] if len(words) == 1 else words
+    if all(child.tag == "_" for child in node):
+        return [_xml_value(child) for child in node]
+    return {child.tag: _xml_value(child) for child in node}

@@ -1,0 +1,87 @@
+"""Conversion of ROS's CameraInfo and Foxglove's CameraCalibration to a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.base.errors import CalibrationError
+from vo.base.types import Camera
+from vo.recordings.formats.calibration.checks import make_camera
+from vo.recordings.formats.messages import CalibrationMessage
+
+_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (4, 5, 8)}
+
+
+@dataclass(frozen=True, eq=False)
+class RawCalibration:
+    """Values of a calibration message, unchecked.
+
+    Attributes:
+        stamp_ns: stamp of the image that it belongs to.
+        frame: coordinate frame of the camera.
+        size: width and height of the calibrated image, before binning.
+        model: name of the distortion model; may be empty.
+        d: distortion coefficients.
+        k: (9,) camera matrix, row by row.
+        r: (9,) rotation into the rectified camera, or empty.
+        p: (12,) projection of the rectified camera, or empty.
+        binning: sensor pixels per image pixel, along u and v; 0 means 1.
+        roi_offset: top-left corner of the image on the sensor, in sensor pixels.
+    """
+
+    stamp_ns: int
+    frame: str
+    size: tuple[int, int]
+    model: str
+    d: Sequence[float]
+    k: Sequence[float]
+    r: Sequence[float]
+    p: Sequence[float]
+    binning: tuple[int, int] = (1, 1)
+    roi_offset: tuple[int, int] = (0, 0)
+
+
+def calibration_message(raw: RawCalibration) -> CalibrationMessage:
+    """Check the values of a message and convert them.
+
+    Raises:
+        CalibrationError: the camera was never calibrated, or a value is implausible.
+    """
+    if len(raw.k) != 9 or not any(raw.k):
+        raise CalibrationError(
+            f"calibration message of '{raw.frame}' is empty (K is zero): the camera was never "
+            "calibrated; give a file with --calibration FILE"
+        )
+    r = np.reshape(raw.r, (3, 3)) if len(raw.r) == 9 and any(raw.r) else np.eye(3)
+    p = np.reshape(raw.p, (3, 4)) if len(raw.p) == 12 and any(raw.p) else np.zeros((3, 4))
+    if not p.any():
+        p[:, :3] = np.reshape(raw.k, (3, 3))
+    # The values refer to the whole sensor, the image may be cropped and binned.
+    bin_u, bin_v = (max(int(b), 1) for b in raw.binning)
+    scale = np.array([[1 / bin_u, 0, 0], [0, 1 / bin_v, 0], [0, 0, 1.0]])
+    crop = np.array([[1.0, 0, -raw.roi_offset[0]], [0, 1.0, -raw.roi_offset[1]], [0, 0, 1.0]])
+    camera = _camera(raw, scale @ crop @ np.reshape(raw.k, (3, 3)), (bin_u, bin_v))
+    return CalibrationMessage(
+        raw.stamp_ns, raw.frame.lstrip("/"), camera, r.astype(float), scale @ crop @ p
+    )
+
+
+def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Camera:
+    model, coefficients = raw.model or "plumb_bob", [float(x) for x in raw.d]
+    counts = _COUNTS.get(model.lower())
+    if not any(coefficients) and model.lower() in ("plumb_bob", "rational_polynomial"):
+        model, coefficients = "none", []
+    # Some writers append zeros: 12 and 14 coefficients are OpenCV's thin prism and tilt models.
+    elif counts and len(coefficients) not in counts and not any(coefficients[counts[-1] :]):
+        coefficients = coefficients[: counts[-1]]
+    return make_camera(
+        f"calibration message of '{raw.frame}'",
+        model="pinhole",
+        resolution=[raw.size[0] // binning[0], raw.size[1] // binning[1]],
+        intrinsics=[float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
+        distortion_model=model,
+        distortion=coefficients,
+    )

@@ -1,0 +1,120 @@
+"""Writer of COLMAP models: posed images and points as text.
+
+In COLMAP the corner of the top-left pixel is at (0, 0), so half a pixel is added here; poses are
+cam_from_world with quaternions in the order w x y z; ids begin at 1.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
+from vo.base.types import Bytes, Camera, Floats, Ints
+
+MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")
+_CENTRE_TO_CORNER_PX = 0.5
+_WITHOUT_K3, _WITH_K3 = 4, 5  # numbers of radtan coefficients
+
+
+def has_colmap_model(camera: Camera) -> bool:
+    """Whether COLMAP has a camera model with this distortion."""
+    return camera.distortion_model in ("none", "radtan", "equidistant")
+
+
+def camera_line(camera: Camera) -> str:
+    """`1 MODEL width height parameters`; for cameras with a COLMAP model only."""
+    model, coefficients = "PINHOLE", list(camera.distortion)
+    if camera.distortion_model == "equidistant":
+        model = "OPENCV_FISHEYE"
+    elif camera.is_distorted and len(coefficients) <= _WITHOUT_K3:
+        model = "OPENCV"
+    elif camera.is_distorted and len(coefficients) == _WITH_K3 and coefficients[-1] == 0.0:
+        model, coefficients = "OPENCV", coefficients[:_WITHOUT_K3]
+    elif camera.is_distorted:
+        model, coefficients = "FULL_OPENCV", coefficients + [0.0] * (8 - len(coefficients))
+    else:
+        coefficients = []
+    centre = (camera.cx + _CENTRE_TO_CORNER_PX, camera.cy + _CENTRE_TO_CORNER_PX)
+    values = (camera.fx, camera.fy, *centre, *coefficients)
+    return f"1 {model} {camera.width} {camera.height} {' '.join(repr(float(v)) for v in values)}"
+
+
+class ModelWriter:
+    """Writes a model in parts.
+
+    Args:
+        folder: output folder, which must exist; a model in it is replaced.
+        camera: the camera of all images.
+
+    Raises:
+        OSError: here and in every method: the files cannot be written.
+    """
+
+    def __init__(self, folder: Path, camera: Camera) -> None:
+        (folder / "cameras.txt").write_text(f"{camera_line(camera)}\n", encoding="utf-8")
+        self._images = (folder / "images.txt").open("w", encoding="utf-8")
+        self._points = (folder / "points3D.txt").open("w", encoding="utf-8")
+
+    def add_image(
+        self, row: int, name: str, world_from_cam: Floats, xy: Floats, point: Ints
+    ) -> None:
+        """Add an image.
+
+        Args:
+            row: its number, from 0.
+            name: of its file, without white space.
+            world_from_cam: (4, 4).
+            xy: (N, 2) observations in pixels, the centre of the top-left pixel at (0, 0).
+            point: (N,) numbers of their points, from 0.
+        """
+        pose = inverse(world_from_cam)
+        x, y, z, w = quat_xyzw_from_rotation(pose[:3, :3]).tolist()
+        values = (w, x, y, z, *pose[:3, 3].tolist())
+        pairs = zip((xy + _CENTRE_TO_CORNER_PX).tolist(), point.tolist(), strict=True)
+        observations = " ".join(f"{u:.3f} {v:.3f} {number + 1}" for (u, v), number in pairs)
+        self._images.write(f"{row + 1} {' '.join(map(repr, values))} 1 {name}\n{observations}\n")
+
+    def add_points(self, points: ModelPoints) -> None:
+        """Add points."""
+        tracks = np.column_stack([points.image + 1, points.in_image])
+        first = points.first.tolist()
+        columns = (points.number, points.xyz, points.grey, points.error_px)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        for row, (number, position, level, error) in enumerate(rows):
+            track = " ".join(map(str, tracks[first[row] : first[row + 1]].ravel().tolist()))
+            x, y, z = map(repr, position)
+            self._points.write(
+                f"{number + 1} {x} {y} {z} {level} {level} {level} {error:.4f} {track}\n"
+            )
+
+    def close(self) -> None:
+        """Close the files."""
+        try:
+            self._images.close()
+        finally:
+            self._points.close()
+
+
+class ModelPoints(NamedTuple):
+    """Some points of a model; M points, N observations.
+
+    Attributes:
+        number: (M,) from 0.
+        xyz: (M, 3) in the world.
+        grey: (M,) grey levels.
+        error_px: (M,) mean reprojection errors.
+        first: (M + 1,) where the observations of each point begin.
+        image: (N,) rows of the images.
+        in_image: (N,) rows of the observations in their image.
+    """
+
+    number: Ints
+    xyz: Floats
+    grey: Bytes
+    error_px: Floats
+    first: Ints
+    image: Ints
+    in_image: Ints

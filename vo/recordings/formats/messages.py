@@ -1,0 +1,249 @@
+"""Messages of logs, independent of their encoding.
+
+`foxglove` and `ros2` serialise them; `codecs` finds the codec that decodes them.
+
+`frame` is a coordinate frame (`world`, `body`, `cam0`, `cam1`); `stamp_ns` is the time of
+measurement in nanoseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from vo.base.types import Camera, Floats
+
+ImageFormat = Literal["png", "jpeg"]
+
+HEAD_BYTES = 256
+"""Length of the prefix of a message that contains its stamp, in encodings that begin with it."""
+
+_PLUMB_BOB_COEFFICIENTS = 5
+_BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
+
+
+@dataclass(frozen=True, eq=False)
+class ImageMessage:
+    """An uncompressed image.
+
+    Attributes:
+        stamp_ns: middle of the exposure.
+        frame: coordinate frame of the camera.
+        width: in pixels.
+        height: in pixels.
+        pixel_format: name of an encoding of `vo.recordings.formats.pixels`, such as `mono8` or
+            `bayer_rggb8`; `32FC1` for a depth image in metres, infinite without a surface.
+        data: rows, the top one first.
+        step: bytes from one row to the next; 0 for rows without padding.
+        big_endian: byte order of pixels with more than 8 bits.
+    """
+
+    stamp_ns: int
+    frame: str
+    width: int
+    height: int
+    pixel_format: str
+    data: bytes | memoryview
+    step: int = 0
+    big_endian: bool = False
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes from one row to the next, for the pixel formats that are written."""
+        return self.step or self.width * _BYTES_PER_PIXEL.get(self.pixel_format, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class CompressedImageMessage:
+    """An encoded image file; `image_format` is `ImageFormat` if written, free text if read."""
+
+    stamp_ns: int
+    frame: str
+    image_format: str
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class CompressedVideoMessage:
+    """One frame of a video: `codec` is `h264` or `h265`, `data` begins with a start code."""
+
+    stamp_ns: int
+    frame: str
+    codec: str
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationMessage:
+    """A camera and its rectification.
+
+    Attributes:
+        stamp_ns: stamp of the image that it belongs to.
+        frame: coordinate frame of the camera.
+        camera: the camera before rectification.
+        rectified_from_cam: (3, 3) rotation into the rectified camera.
+        projection: (3, 4) of the rectified camera; the last column contains the baseline.
+    """
+
+    stamp_ns: int
+    frame: str
+    camera: Camera
+    rectified_from_cam: Floats
+    projection: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ImuMessage:
+    """One sample of an inertial sensor.
+
+    Attributes:
+        stamp_ns: time of measurement.
+        frame: coordinate frame of the sensor.
+        gyro: (3,) rad/s.
+        accel: (3,) m/s², specific force.
+        gyro_variance: variance of the white noise of a sample, rad²/s²; 0 without noise.
+        accel_variance: the same for accelerations, m²/s⁴.
+    """
+
+    stamp_ns: int
+    frame: str
+    gyro: Floats
+    accel: Floats
+    gyro_variance: float = 0.0
+    accel_variance: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMessage:
+    """The (4, 4) transform `frame_from_child`; `child` is empty if the message has none."""
+
+    stamp_ns: int
+    frame: str
+    pose: Floats
+    child: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class PositionFixMessage:
+    """A position by satellite, as `sensor_msgs/NavSatFix`.
+
+    Attributes:
+        stamp_ns: time of measurement.
+        geodetic: (3,) latitude and longitude in degrees, height in metres on WGS 84; NaN without a
+            fix.
+        sigma_m: standard deviation along one axis, NaN if unknown.
+    """
+
+    stamp_ns: int
+    geodetic: Floats
+    sigma_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class PathMessage:
+    """Poses of one path, each with its own stamp, as `nav_msgs/Path`."""
+
+    stamp_ns: int
+    poses: tuple[PoseMessage, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTransform:
+    """The (4, 4) transform `parent_from_child` between two coordinate frames.
+
+    `stamp_ns` is 0 for messages that are written: their transforms have the stamp of the message.
+    """
+
+    parent: str
+    child: str
+    parent_from_child: Floats
+    stamp_ns: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class TransformsMessage:
+    """Several transforms with one stamp."""
+
+    stamp_ns: int
+    transforms: tuple[FrameTransform, ...]
+
+
+Message = (
+    ImageMessage
+    | CompressedImageMessage
+    | CalibrationMessage
+    | ImuMessage
+    | PoseMessage
+    | TransformsMessage
+)
+
+
+ReadMessage = Message | CompressedVideoMessage | PathMessage | PositionFixMessage
+"""All messages that are read; those of `Message` are written too."""
+
+
+@dataclass(frozen=True)
+class Schema:
+    """Name and definition of a message type, as needed to decode it."""
+
+    name: str
+    definition: bytes
+
+
+@dataclass(frozen=True)
+class Codec:
+    """Decoder of a topic's messages.
+
+    Attributes:
+        kind: type of the messages.
+        decode: converts bytes to a message; raises SourceError for invalid bytes, and
+            CalibrationError for an implausible camera.
+        peek_stamp_ns: reads the stamp from the first `HEAD_BYTES` of a message or all of it; None
+            if they do not contain it; raises SourceError for invalid bytes.
+    """
+
+    kind: type[ReadMessage]
+    decode: Callable[[bytes], ReadMessage]
+    peek_stamp_ns: Callable[[bytes], int | None]
+
+
+@dataclass(frozen=True, eq=False)
+class Dialect:
+    """Encoding of messages in an MCAP file.
+
+    Attributes:
+        profile: MCAP profile, or empty.
+        message_encoding: MCAP's name of the message encoding.
+        schema_encoding: MCAP's name of the schema encoding.
+        schema: returns the schema of a message type.
+        encode: serialises a message.
+        channel_metadata: returns the metadata of a channel, given its topic.
+        metadata: metadata records of the file, by name.
+    """
+
+    profile: str
+    message_encoding: str
+    schema_encoding: str
+    schema: Callable[[type[Message]], Schema]
+    encode: Callable[[Message], bytes]
+    channel_metadata: Callable[[str], dict[str, str]]
+    metadata: Mapping[str, dict[str, str]]
+
+
+def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:
+    """Name and coefficients of a camera's distortion in ROS and Foxglove.
+
+    Args:
+        camera: the camera.
+        fisheye: name of the equidistant model (Kannala and Brandt, 2006) in the dialect.
+    """
+    coefficients = list(camera.distortion)
+    if camera.distortion_model == "equidistant":
+        return fisheye, coefficients
+    if camera.distortion_model not in ("none", "radtan"):  # ROS and Foxglove define no name
+        return camera.distortion_model, coefficients
+    if len(coefficients) > _PLUMB_BOB_COEFFICIENTS:
+        return "rational_polynomial", coefficients
+    missing = _PLUMB_BOB_COEFFICIENTS - len(coefficients)
+    return "plumb_bob", coefficients + [0.0] * missing

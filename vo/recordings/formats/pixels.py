@@ -1,0 +1,135 @@
+"""Conversion of raw pixels of messages to grey or colour images, by ROS's encoding names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from vo.base.errors import SourceError
+from vo.recordings.formats.messages import ImageMessage
+
+Pixels = NDArray[np.unsignedinteger]
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Storage of a pixel: sample size, channels, and conversions to grey and to BGR."""
+
+    bytes_per_sample: int
+    channels: int
+    grey: Callable[[Pixels], Pixels]
+    colour: Callable[[Pixels], Pixels]
+
+
+def _first_channel(image: Pixels) -> Pixels:
+    return image[:, :, 0]
+
+
+def _unchanged(image: Pixels) -> Pixels:
+    return image
+
+
+def _converted(code: int) -> Callable[[Pixels], Pixels]:
+    # OpenCV expects a Bayer pattern as a two-dimensional array.
+    def convert(image: Pixels) -> Pixels:
+        flat = image[:, :, 0] if image.shape[2] == 1 else image
+        return cast("Pixels", cv2.cvtColor(np.ascontiguousarray(flat), code))
+
+    return convert
+
+
+# OpenCV names a Bayer pattern by the pixels from the second row and column on, ROS by the first.
+_BAYER = {
+    "rggb": (cv2.COLOR_BayerBG2GRAY, cv2.COLOR_BayerBG2BGR),
+    "bggr": (cv2.COLOR_BayerRG2GRAY, cv2.COLOR_BayerRG2BGR),
+    "gbrg": (cv2.COLOR_BayerGR2GRAY, cv2.COLOR_BayerGR2BGR),
+    "grbg": (cv2.COLOR_BayerGB2GRAY, cv2.COLOR_BayerGB2BGR),
+}
+_LAYOUTS: dict[str, _Layout] = {
+    **{
+        f"{name}{bits}": _Layout(bits // 8, channels, grey, colour)
+        for name, channels, grey, colour in (
+            ("mono", 1, _first_channel, _first_channel),
+            ("rgb", 3, _converted(cv2.COLOR_RGB2GRAY), _converted(cv2.COLOR_RGB2BGR)),
+            ("bgr", 3, _converted(cv2.COLOR_BGR2GRAY), _unchanged),
+            ("rgba", 4, _converted(cv2.COLOR_RGBA2GRAY), _converted(cv2.COLOR_RGBA2BGR)),
+            ("bgra", 4, _converted(cv2.COLOR_BGRA2GRAY), _converted(cv2.COLOR_BGRA2BGR)),
+            *(
+                (f"bayer_{name}", 1, _converted(to_grey), _converted(to_bgr))
+                for name, (to_grey, to_bgr) in _BAYER.items()
+            ),
+        )
+        for bits in (8, 16)
+    },
+    "yuv422": _Layout(
+        1, 2, _converted(cv2.COLOR_YUV2GRAY_UYVY), _converted(cv2.COLOR_YUV2BGR_UYVY)
+    ),
+    "yuv422_yuy2": _Layout(
+        1, 2, _converted(cv2.COLOR_YUV2GRAY_YUY2), _converted(cv2.COLOR_YUV2BGR_YUY2)
+    ),
+}
+_OTHER_NAMES = {
+    "8uc1": "mono8",
+    "16uc1": "mono16",
+    "8uc3": "bgr8",
+    "16uc3": "bgr16",
+    "8uc4": "bgra8",
+    "16uc4": "bgra16",
+    "uyvy": "yuv422",
+    "yuyv": "yuv422_yuy2",
+    "yuy2": "yuv422_yuy2",
+}
+
+
+def grey_pixels(message: ImageMessage) -> Pixels:
+    """The (H, W) grey image, uint8 or uint16, of an uncompressed image.
+
+    Raises:
+        SourceError: the encoding is unknown, or bytes are missing.
+    """
+    layout = _layout(message)
+    return layout.grey(_rows(message, layout))
+
+
+def colour_pixels(message: ImageMessage) -> Pixels:
+    """As `grey_pixels`, but colour and Bayer images as (H, W, 3): blue, green, red."""
+    layout = _layout(message)
+    return layout.colour(_rows(message, layout))
+
+
+def _layout(message: ImageMessage) -> _Layout:
+    name = message.pixel_format.strip().lower()
+    layout = _LAYOUTS.get(_OTHER_NAMES.get(name, name))
+    if layout is None:
+        raise SourceError(
+            f"pixel encoding '{message.pixel_format}' is not supported; supported are mono8, "
+            "mono16, rgb8, bgr8, rgba8, bgra8, bayer_*, yuv422 and yuyv"
+        )
+    return layout
+
+
+def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
+    """The samples as (H, W, channels) in native byte order, as a view if possible."""
+    width, height = message.width, message.height
+    row_bytes = width * layout.channels * layout.bytes_per_sample
+    step = message.step or row_bytes
+    needed = (height - 1) * step + row_bytes
+    if width < 1 or height < 1 or step < row_bytes or len(message.data) < needed:
+        raise SourceError(
+            f"image of {width}x{height} {message.pixel_format} with rows of {step} bytes has "
+            f"{len(message.data)} bytes; {max(needed, 0)} are needed"
+        )
+    kind = np.dtype(np.uint8 if layout.bytes_per_sample == 1 else np.uint16)
+    stored = kind.newbyteorder(">" if message.big_endian else "<")
+    image = np.ndarray(
+        (height, width, layout.channels),
+        stored,
+        message.data,
+        strides=(step, layout.channels * layout.bytes_per_sample, layout.bytes_per_sample),
+    )
+    return image.astype(kind, copy=False)

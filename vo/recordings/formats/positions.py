@@ -1,0 +1,211 @@
+"""Positions of another sensor as text: NMEA 0183 of GPS receivers, and CSV with named columns."""
+
+from __future__ import annotations
+
+import csv
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from vo.base.errors import SourceError
+from vo.base.files.bounded_files import read_table_text
+from vo.base.types import Floats, Ints
+from vo.recordings.formats.stamp_units import stamp_ns_from_seconds
+
+_log = logging.getLogger(__name__)
+_NS_PER_S = 1_000_000_000
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+NS_PER_DAY = 86_400 * _NS_PER_S
+_SIGMA_PER_DOP_M = 2.0  # horizontal error of a receiver, for one unit of dilution of precision
+_STAMP_S = ("t", "time", "stamp", "timestamp", "time_s", "stamp_s", "seconds")
+_STAMP_NS = ("stamp_ns", "time_ns", "timestamp_ns", "timestamp [ns]", "#timestamp [ns]")
+_GEODETIC = (("latitude", "lat"), ("longitude", "lon", "lng"), ("altitude", "alt", "height"))
+_METRES = (("x", "tx", "x_m", "east"), ("y", "ty", "y_m", "north"), ("z", "tz", "z_m", "up"))
+
+
+@dataclass(frozen=True, eq=False)
+class PositionTable:
+    """Positions in time order.
+
+    Attributes:
+        stamps_ns: (N,) increasing; Unix time, or time of day, see `is_time_of_day`.
+        values: (N, 3) latitude and longitude in degrees and height in metres; or metres.
+        sigma_m: (N,) standard deviation along one axis, NaN where unknown.
+        is_geodetic: whether values are on WGS 84.
+        is_time_of_day: whether the date is unknown.
+    """
+
+    stamps_ns: Ints
+    values: Floats
+    sigma_m: Floats
+    is_geodetic: bool
+    is_time_of_day: bool = False
+
+
+def is_nmea(path: Path) -> bool:
+    """Whether a file has a sentence with a position among its first lines.
+
+    Raises:
+        SourceError: it cannot be read.
+    """
+    return any(_sentence(line)[:1] in (["GGA"], ["RMC"]) for line in _lines(path)[:200])
+
+
+def read_nmea(path: Path) -> PositionTable:
+    """Read the sentences GGA, with the dates of RMC and ZDA; sentences without a fix are left out.
+
+    Raises:
+        SourceError: the file cannot be read, or has no position.
+
+    Source: NMEA 0183, sentences GGA, RMC and ZDA.
+    """
+    midnight: datetime | None = None
+    first: datetime | None = None
+    midnights: list[datetime | None] = []
+    times_ns: list[int] = []
+    values: list[list[float]] = []
+    damaged = 0
+    for line in _lines(path):
+        fields = _sentence(line)
+        try:
+            damaged += not fields and "$G" in line
+            if not fields:
+                continue
+            midnight = _date(fields) or midnight
+            first = first or midnight
+            if fields[0] == "GGA" and fields[6] not in ("", "0"):
+                position, time_ns = _gga(fields), _time_of_day_ns(fields[1])
+                midnights.append(midnight)
+                times_ns.append(time_ns)
+                values.append(position)
+        except (ValueError, IndexError):
+            damaged += 1
+    if damaged:
+        _log.warning("%s: %d damaged NMEA sentences are left out", path, damaged)
+    if not values:
+        raise SourceError(f"{path} has no position (GGA with a fix); give another file of NMEA")
+    table, stamps_ns = np.array(values), np.array(times_ns, np.int64)
+    if first is not None:
+        days = [((each or first) - _EPOCH).days for each in midnights]
+        stamps_ns += NS_PER_DAY * np.array(days, np.int64)
+    # Past midnight, without a new date or before the sentence that has it.
+    turns = np.diff(stamps_ns, prepend=stamps_ns[0])
+    late: Ints = np.cumsum(turns < -NS_PER_DAY // 2) - np.cumsum(turns > NS_PER_DAY // 2)
+    stamps_ns += NS_PER_DAY * np.maximum(late, 0)
+    return _table(path, stamps_ns, table[:, :3], table[:, 3], True, first is None)
+
+
+def read_position_csv(path: Path) -> PositionTable | None:
+    """Read a CSV whose first line names a stamp and positions; None without such a line.
+
+    Stamps are seconds in `time`, `t`, `stamp` or `timestamp`, nanoseconds in `stamp_ns`. Positions
+    are `x`, `y` and perhaps `z` in metres, or `lat`, `lon` and perhaps `alt`.
+
+    Raises:
+        SourceError: the file cannot be read, or a line is damaged.
+    """
+    lines = [line for line in _lines(path) if line.strip()]
+    names = [name.strip().lower() for name in next(csv.reader(lines[:1]), [])]
+    in_ns = [names.index(name) for name in _STAMP_NS if name in names]
+    in_s = [names.index(name) for name in _STAMP_S if name in names]
+    geodetic, metres = _columns(names, _GEODETIC), _columns(names, _METRES)
+    columns = metres if geodetic is None else geodetic
+    if not (in_ns or in_s) or columns is None:
+        return None
+    stamps, values = [], []
+    for number, row in enumerate(csv.reader(lines[1:]), start=2):
+        try:
+            text = row[(in_ns or in_s)[0]].strip()
+            stamps.append(int(text) if in_ns else stamp_ns_from_seconds(text))
+            values.append([float(row[column]) for column in columns])
+        except (ValueError, IndexError) as error:
+            raise SourceError(f"{path}:{number}: {error}; give numbers in every line") from error
+    if not values:
+        raise SourceError(f"{path} has no line of data; give positions with their times")
+    positions = np.zeros((len(values), 3))
+    positions[:, : len(columns)] = values
+    unknown = np.full(len(values), np.nan)
+    return _table(path, np.array(stamps, np.int64), positions, unknown, geodetic is not None)
+
+
+def _table(
+    path: Path,
+    stamps_ns: Ints,
+    values: Floats,
+    sigma_m: Floats,
+    is_geodetic: bool,
+    is_time_of_day: bool = False,
+) -> PositionTable:
+    """The finite positions, sorted by time, the first of each."""
+    known = np.isfinite(values).all(axis=1)
+    if is_geodetic:
+        known &= (np.abs(values[:, 0]) <= 90.0) & (np.abs(values[:, 1]) <= 360.0)
+    if not known.any():
+        raise SourceError(f"{path} has no finite position")
+    unique, rows = np.unique(stamps_ns[known], return_index=True)
+    kept = np.flatnonzero(known)[rows]
+    return PositionTable(unique, values[kept], sigma_m[kept], is_geodetic, is_time_of_day)
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return read_table_text(path).splitlines()
+    except FileNotFoundError as error:
+        raise SourceError(f"{path} does not exist; give a file of positions") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text"
+        raise SourceError(f"{path} cannot be read as positions: {reason}") from error
+
+
+def _columns(names: Sequence[str], wanted: Sequence[Sequence[str]]) -> list[int] | None:
+    """Columns of two or three coordinates."""
+    found = [[names.index(name) for name in each if name in names] for each in wanted]
+    if not found[0] or not found[1]:
+        return None
+    return [each[0] for each in found if each]
+
+
+def _sentence(line: str) -> list[str]:
+    """Fields of an NMEA sentence with its type first, as `GGA`; empty if it is damaged."""
+    begin = line.find("$")
+    body, star, rest = line[begin + 1 :].strip().partition("*")
+    if begin < 0 or not body.isascii():
+        return []
+    if star:
+        checksum = 0
+        for byte in body.encode():
+            checksum ^= byte
+        if rest[:2].upper() != f"{checksum:02X}":
+            return []
+    name, *fields = body.split(",")
+    return [name[2:], *fields] if name.startswith("G") or name[2:] in ("GGA", "RMC", "ZDA") else []
+
+
+def _date(fields: Sequence[str]) -> datetime | None:
+    if fields[0] == "RMC" and fields[2] == "A" and len(fields[9]) == 6:
+        return datetime.strptime(fields[9], "%d%m%y").replace(tzinfo=UTC)
+    if fields[0] == "ZDA" and fields[2]:
+        return datetime(int(fields[4]), int(fields[3]), int(fields[2]), tzinfo=UTC)
+    return None
+
+
+def _time_of_day_ns(text: str) -> int:
+    hours, minutes = int(text[:2]), int(text[2:4])
+    return (hours * 3600 + minutes * 60) * _NS_PER_S + stamp_ns_from_seconds(text[4:])
+
+
+def _gga(fields: Sequence[str]) -> list[float]:
+    """Latitude, longitude, height above the ellipsoid, and standard deviation."""
+    latitude = _degrees(fields[2], 2) * (-1.0 if fields[3] == "S" else 1.0)
+    longitude = _degrees(fields[4], 3) * (-1.0 if fields[5] == "W" else 1.0)
+    height = float(fields[9] or 0.0) + float(fields[11] or 0.0)
+    dop = float(fields[8]) if fields[8] else float("nan")
+    return [latitude, longitude, height, _SIGMA_PER_DOP_M * dop if dop > 0.0 else float("nan")]
+
+
+def _degrees(text: str, digits: int) -> float:
+    return int(text[:digits]) + float(text[digits:]) / 60.0

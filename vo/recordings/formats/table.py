@@ -1,0 +1,107 @@
+"""Reader of text files with one record of numbers per line."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.errors import SourceError
+from vo.base.files.bounded_files import read_table_text
+from vo.base.types import Floats
+
+_log = logging.getLogger(__name__)
+_MAX_VALUE = 1e12
+
+
+class Line(NamedTuple):
+    """A line of data: its location (for error messages), its fields and their separator."""
+
+    location: str
+    fields: list[str]
+    has_commas: bool
+
+
+def read_table(path: Path) -> list[Line]:
+    """Read the lines of data, without comments, blank lines and a CSV header.
+
+    An incomplete last line, left by a program that was killed, is dropped with a warning.
+
+    Raises:
+        SourceError: the file is missing, not text or without data.
+    """
+    try:
+        text = read_table_text(path)
+    except FileNotFoundError as error:
+        raise SourceError(f"{path} does not exist; give the path of a trajectory file") from error
+    except UnicodeDecodeError as error:
+        raise SourceError(
+            f"{path} is not text; trajectories are TUM, KITTI or EuRoC text"
+        ) from error
+    except OSError as error:
+        raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
+    lines = _data_lines(path, text)
+    if lines and not _is_number(lines[0].fields[0]) and "timestamp" in lines[0].fields[0].lower():
+        lines = lines[1:]
+    if len(lines) > 1 and text[-1] != "\n" and len(lines[-1].fields) < len(lines[-2].fields):
+        _log.warning("%s: the last line is cut off and left out", lines[-1].location)
+        lines.pop()
+    if not lines:
+        raise SourceError(f"{path} has no line of data; give a trajectory with at least one pose")
+    return lines
+
+
+def _data_lines(path: Path, text: str) -> list[Line]:
+    lines = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        line = line.strip()
+        if not line or line.startswith("#"):
+            continue
+        has_commas = "," in line
+        fields = [f.strip() for f in line.split(",")] if has_commas else line.split()
+        lines.append(Line(f"{path}:{number}", fields, has_commas))
+    return lines
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def check_columns(lines: list[Line], columns: int, *, exactly: bool) -> None:
+    """Refuse lines with another number of columns.
+
+    Raises:
+        SourceError: a line has fewer columns, or more where `exactly` is set.
+    """
+    for line in lines:
+        found = len(line.fields)
+        if found < columns or (exactly and found > columns):
+            at_least = "" if exactly else "at least "
+            raise SourceError(f"{line.location}: {found} columns, {at_least}{columns} expected")
+
+
+def parse_columns(lines: list[Line], start: int, stop: int) -> Floats:
+    """Parse columns start to stop - 1 as (N, stop - start) numbers, which may be NaN.
+
+    Raises:
+        SourceError: a field is not a number or implausibly large.
+    """
+    values = np.empty((len(lines), stop - start))
+    for i, line in enumerate(lines):
+        try:
+            values[i] = [float(field) for field in line.fields[start:stop]]
+        except ValueError as error:
+            raise SourceError(f"{line.location}: {error}; every column must be a number") from error
+    implausible = np.isfinite(values) & (np.abs(values) > _MAX_VALUE)
+    if implausible.any():
+        i, j = np.argwhere(implausible)[0]
+        found = lines[i].fields[start + j]
+        column = start + j + 1
+        raise SourceError(f"{lines[i].location}: column {column} is {found}; remove the line")
+    return values

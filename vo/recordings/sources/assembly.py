@@ -1,0 +1,299 @@
+"""Assembly of a source from the contents of a recording: calibration, stereo pairs, ground truth.
+
+A format lists its images as `Shot`s (each with a `StoredImage`, see
+`vo.recordings.sources.images`), adds functions that read the calibration and the ground truth, and
+passes this to `assemble`.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vo.base.errors import CalibrationError, SourceError, VoError
+from vo.base.faults import Fault, FaultKind
+from vo.base.types import Camera, Mode, Rig, Trajectory
+from vo.recordings.formats.calibration import (
+    Calibration,
+    ImageSize,
+    calibration_format,
+    read_calibration,
+)
+from vo.recordings.formats.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
+from vo.recordings.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
+from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
+from vo.recordings.sources.images import Pixels, StoredImage
+from vo.recordings.sources.imu import Imu
+from vo.recordings.sources.listing import Shot, median_interval_ns
+from vo.recordings.sources.orientation import warn_of_turned
+from vo.recordings.sources.pairing import pair_by_stamp
+from vo.recordings.sources.right_offset import constant_offset_ns, shifted
+from vo.recordings.sources.sequence import ImageSequence, ListedImages
+
+_CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".conf", ".ini", ".txt")
+_MAX_TRIED = 20
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class RecordingContents:
+    """Contents of a recording, as listed by its format.
+
+    Attributes:
+        name: short name of the recording.
+        format: name of the format in the registry.
+        left: images of cam0, with increasing stamps.
+        right: images of cam1, with increasing stamps; None without a right camera.
+        calibrate: reads the calibration, given the size of the images.
+        read_truth: reads the ground-truth poses of cam0, or returns None; may raise.
+        close: closes the files that images keep open between reads.
+        find_imus: lists the inertial sensors, the preferred one first, without reading their
+            samples; its argument is the calibration, None if unknown.
+        faults: faults of the stamps.
+        depth: depth images registered to cam0, with increasing stamps; None without depth.
+        right_offset_ns: to be added to the stamps of `right`; None to find a constant offset.
+    """
+
+    name: str
+    format: str
+    left: Sequence[Shot]
+    right: Sequence[Shot] | None
+    calibrate: Callable[[ImageSize], Calibration]
+    read_truth: Callable[[Calibration], Trajectory | None]
+    depth: Sequence[Shot] | None = None
+    close: Callable[[], None] | None = None
+    find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
+    right_offset_ns: int | None = None
+    faults: Sequence[Fault] = ()
+
+
+def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
+    """Create a source, after checking that images and calibration match.
+
+    Raises:
+        SourceError: no image can be read, or `mode` is `stereo` and there is no right camera.
+        CalibrationError: the calibration is missing, invalid, or for images of another size.
+    """
+    first = _first_image(contents.left)
+    size = _size_of(first)
+    warn_of_turned(contents.name, contents.left)
+    calibration = contents.calibrate(size)
+    _check_size(calibration, calibration.rig.cam0, size, contents.left)
+    rig = _choose_rig(contents, calibration, mode)
+    offset_ns = _right_offset(contents, rig)
+    partners = _pair(contents, rig, mode, offset_ns)
+    depth = None if partners else _depth(contents, calibration, mode)
+    sequence = ImageSequence(
+        name=contents.name,
+        format=contents.format,
+        rig=rig if partners else Rig(rig.cam0, has_depth=depth is not None),
+        ground_truth=_truth(contents, calibration),
+        images=ListedImages(
+            contents.left,
+            partners,
+            _grey_levels(contents, first, partners),
+            depth,
+        ),
+        close=contents.close,
+        imus=contents.find_imus(calibration),
+    )
+    _log.info(
+        "%s: %d images of %dx%d, %s",
+        contents.name,
+        len(contents.left),
+        *size,
+        "stereo" if partners else "one camera",
+    )
+    sequence.faults += [*contents.faults, *_rate_faults(contents)]
+    if partners:
+        sequence.right_offset_ns = offset_ns
+        if offset_ns and contents.right_offset_ns is None:
+            found = Fault(FaultKind.RIGHT_TIME_OFFSET, is_handled=True, value=-1e-6 * offset_ns)
+            sequence.faults.append(found)
+    return sequence
+
+
+def calibration_reader(
+    chosen: Path | None, candidates: Sequence[Path]
+) -> Callable[[ImageSize], Calibration]:
+    """A function that reads the file chosen by the user, or else the first existing candidate."""
+
+    def read(size: ImageSize) -> Calibration:
+        existing = [path for path in candidates if path.is_file()]
+        if chosen is None and not existing:
+            looked_for = ", ".join(str(path) for path in candidates)
+            found = _calibration_beside(candidates)
+            advice = (
+                "give one with --calibration FILE (format: docs/calibration.md)"
+                if found is None
+                else f"{found} is one: if it is that of these images, give --calibration {found}"
+            )
+            raise CalibrationError(f"no calibration found; looked for {looked_for}; {advice}")
+        return read_calibration(chosen or existing[0], size)
+
+    return read
+
+
+def _calibration_beside(candidates: Sequence[Path]) -> Path | None:
+    """A calibration file of another name in the folders of the candidates, for advice."""
+    folders = dict.fromkeys(path.parent for path in candidates)
+    beside = [path for folder in folders if folder.is_dir() for path in sorted(folder.iterdir())]
+    texts = [path for path in beside if path.suffix.lower() in _CALIBRATION_SUFFIXES]
+    return next((path for path in texts[:_MAX_TRIED] if calibration_format(path)), None)
+
+
+def first_existing(candidates: Sequence[Path]) -> Path | None:
+    """The first candidate that exists, or None."""
+    return next((path for path in candidates if path.is_file()), None)
+
+
+def _first_image(shots: Sequence[Shot]) -> Pixels:
+    """The first image that can be read."""
+    reason = ""
+    for shot in shots:
+        try:
+            return shot.image.read()
+        except SourceError as error:
+            reason = reason or str(error)
+    raise SourceError(f"none of {len(shots)} images can be read; first error: {reason}")
+
+
+def _grey_levels(
+    contents: RecordingContents, first: Pixels, partners: Sequence[StoredImage | None] | None
+) -> GreyLevels:
+    """The conversion to 8 bits; a stretch is reported."""
+    if first.dtype == np.uint8:
+        return GreyLevels(8)
+    levels = find_grey_levels([shot.image for shot in contents.left], partners)
+    stretch = levels.stretch
+    if stretch is not None:
+        _log.warning(
+            "%s: the images use only values from about %.0f to %.0f of %d bits; their contrast is "
+            "stretched to 8 bits",
+            contents.name,
+            stretch.low.min(),
+            stretch.high.max(),
+            levels.bit_depth,
+        )
+    return levels
+
+
+def _rate_faults(contents: RecordingContents) -> list[Fault]:
+    """A rate of images that no camera for odometry has, as of stamps in another unit."""
+    interval_ns = median_interval_ns([shot.stamp_ns for shot in contents.left])
+    if not interval_ns or MIN_INTERVAL_NS <= interval_ns <= MAX_INTERVAL_NS:
+        return []
+    rate_hz = 1e9 / interval_ns
+    _log.warning(
+        "%s: by their stamps, images are %.3g s apart (%.3g Hz), which is implausible; are the "
+        "stamps in another unit?",
+        contents.name,
+        1e-9 * interval_ns,
+        rate_hz,
+    )
+    return [Fault(FaultKind.IMPLAUSIBLE_RATE, is_handled=True, value=rate_hz)]
+
+
+def _size_of(image: Pixels) -> ImageSize:
+    height, width = image.shape
+    return width, height
+
+
+def _check_size(
+    calibration: Calibration, camera: Camera, size: ImageSize, shots: Sequence[Shot]
+) -> None:
+    if (camera.width, camera.height) == size:
+        return
+    file = f" {calibration.file} ({calibration.kind})" if calibration.file else " of the recording"
+    advice = (
+        "it seems to be that of images turned by 90 degrees; give that of the images as stored"
+        if (camera.height, camera.width) == size
+        else "give a calibration for this image size with --calibration FILE (for resized images, "
+        "scale its fx, fy, cx and cy as well)"
+    )
+    raise CalibrationError(
+        f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration{file} "
+        f"is for {camera.width}x{camera.height}; {advice}"
+    )
+
+
+def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mode) -> Rig:
+    """The rig, with cam1 only if `mode` allows it and it has images and a calibration."""
+    rig = calibration.rig
+    if mode == "mono":
+        return Rig(rig.cam0)
+    if not contents.right:
+        if mode == "stereo":
+            raise SourceError(
+                f"{contents.name} has no images of a right camera; use --mode mono or add them"
+            )
+        return Rig(rig.cam0)
+    if rig.cam1 is None:
+        if mode == "stereo":
+            raise CalibrationError(
+                f"the calibration of {contents.name} has no right camera; add cam1 or use "
+                "--mode mono"
+            )
+        _log.warning("%s: right images not used, because cam1 is not calibrated", contents.name)
+        return Rig(rig.cam0)
+    _check_size(calibration, rig.cam1, _size_of(_first_image(contents.right)), contents.right)
+    return rig
+
+
+def _right_offset(contents: RecordingContents, rig: Rig) -> int:
+    """What to add to right stamps: as given, or else a constant offset, with a warning."""
+    if contents.right_offset_ns is not None or rig.cam1 is None or not contents.right:
+        return contents.right_offset_ns or 0
+    offset_ns = constant_offset_ns(contents.left, contents.right)
+    if offset_ns:
+        _log.warning(
+            "%s: right stamps are %+.3f ms from left ones in all pairs, and images are paired by "
+            "that; --right-offset sets it",
+            contents.name,
+            -1e-6 * offset_ns,
+        )
+    return offset_ns
+
+
+def _pair(
+    contents: RecordingContents, rig: Rig, mode: Mode, offset_ns: int
+) -> list[StoredImage | None] | None:
+    if rig.cam1 is None or not contents.right:
+        return None
+    partners = pair_by_stamp(contents.left, shifted(contents.right, offset_ns))
+    if any(partners):
+        return partners
+    message = f"{contents.name}: no left image has a right image close enough in time"
+    if mode == "stereo":
+        raise SourceError(
+            f"{message}; check the stamps, shift right ones by --right-offset MS, or use --mode "
+            "mono"
+        )
+    _log.warning("%s; only the left camera is used (see --right-offset)", message)
+    return None
+
+
+def _depth(contents: RecordingContents, calibration: Calibration, mode: Mode) -> DepthImages | None:
+    if mode == "mono" or not contents.depth:
+        return None
+    images = associate_depth(contents.left, contents.depth)
+    if not any(images):
+        _log.warning(
+            "%s: depth not used, because no depth image is within 20 ms of an image",
+            contents.name,
+        )
+        return None
+    return DepthImages(images, calibration.depth_per_metre or UNITS_PER_METRE)
+
+
+def _truth(contents: RecordingContents, calibration: Calibration) -> Trajectory | None:
+    """The ground truth; one that cannot be read only causes a warning."""
+    try:
+        return contents.read_truth(calibration)
+    except (VoError, OSError, ValueError) as error:
+        _log.warning("ground truth not used: %s", error)
+        return None

@@ -1,0 +1,81 @@
+"""EuRoC MAV layout: cam0/data.csv and cam0/data/, with or without a parent folder mav0/."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from vo.base.errors import CalibrationError, SourceError
+from vo.base.faults import Fault
+from vo.base.types import Floats, Mode, Trajectory
+from vo.recordings.formats.calibration import Calibration
+from vo.recordings.formats.euroc_layout import (
+    calibration_files,
+    find_camera_on_body,
+    recording_folder,
+)
+from vo.recordings.formats.trajectory import read_euroc, read_tum
+from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
+from vo.recordings.sources.euroc_imu import euroc_imus
+from vo.recordings.sources.listing import Shot, list_images, shots_from_table
+from vo.recordings.sources.naming import shots_from_names
+
+_TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
+
+
+def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List a recording, given its folder or the folder mav0 in it.
+
+    Raises:
+        SourceError: images or stamps are missing or inconsistent.
+        CalibrationError: the calibration is missing or invalid.
+    """
+    path = path.resolve()
+    root = path / "mav0" if (path / "mav0").is_dir() else path
+    top = recording_folder(root)
+    faults: list[Fault] = []
+    return RecordingContents(
+        name=top.name,
+        format="euroc",
+        left=_shots(root / "cam0", faults),
+        right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
+        calibrate=calibration_reader(calibration, calibration_files(root)),
+        read_truth=lambda loaded: _truth(root, top, loaded),
+        find_imus=lambda loaded: euroc_imus(root, loaded, lambda: _body_from_cam0(root, loaded)),
+        faults=faults,
+    )
+
+
+def _shots(camera: Path, faults: list[Fault] | None = None) -> list[Shot]:
+    table, folder = camera / "data.csv", camera / "data"
+    if table.is_file():
+        return shots_from_table(table, folder, ",", "ns", faults)
+    shots = shots_from_names(list_images(folder))
+    if shots is None:
+        raise SourceError(f"{table} is missing, and the file names in {folder} are not stamps")
+    return shots
+
+
+def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None:
+    """Poses of the body transformed to cam0, or else `groundtruth.tum`, poses of cam0."""
+    body = first_existing([root / folder / "data.csv" for folder in _TRUTH_FOLDERS])
+    body_from_cam0 = _body_from_cam0(root, calibration)
+    if body is not None and body_from_cam0 is not None:
+        truth = read_euroc(body)
+        return replace(truth, world_from_cam=truth.world_from_cam @ body_from_cam0)
+    camera = first_existing([top / "groundtruth.tum", root / "groundtruth.tum"])
+    if camera is not None:
+        return read_tum(camera)
+    if body is not None:
+        raise SourceError(
+            f"{body} has poses of the body, but no calibration contains cam0's pose on the body"
+        )
+    return None
+
+
+def _body_from_cam0(root: Path, calibration: Calibration | None) -> Floats | None:
+    try:
+        found = find_camera_on_body(root, calibration)
+    except CalibrationError:
+        return None
+    return None if found is None else found.body_from_cam0

@@ -1,0 +1,121 @@
+"""Network streams through PyAV, with the stream's own times."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import av
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+
+from vo.base.errors import SourceError
+from vo.base.types import Rig
+from vo.recordings.sources.live.address import without_credentials
+from vo.recordings.sources.live.clock import CaptureStamps, HostClock
+from vo.recordings.sources.live.device import CapturedImages
+from vo.recordings.sources.video import frame_pixels
+
+_OPEN_TIMEOUT_S, _READ_TIMEOUT_S = 5.0, 5.0
+# Over TCP, because lost packets of UDP damage images; without buffers, which would delay them.
+_OPTIONS = {
+    "rtsp_transport": "tcp",
+    "fflags": "nobuffer",
+    "flags": "low_delay",
+    "analyzeduration": "1000000",  # microseconds
+    # Without `file`: a playlist from the network must not name files of this machine.
+    "protocol_whitelist": "rtsp,rtsps,rtp,srtp,udp,tcp,tls,http,https,httpproxy,rtmp,rtmps,srt",
+}
+_MIN_LAG_NS, _MAX_LAG_NS = 1_500_000_000, 60_000_000_000  # more is a clock that was set
+_MIN_LATE = 60  # images in a row: a network that stalls once catches up
+_INVENTED_TIMES = {"mpjpeg", "mjpeg"}  # formats without times, to which a rate of 25/s is given
+
+_log = logging.getLogger(__name__)
+logging.getLogger("libav").addHandler(logging.NullHandler())
+
+
+class PyAvStream:
+    """A `Device` for a network stream.
+
+    Args:
+        url: its address.
+        clock: the host's clock.
+
+    Raises:
+        SourceError: it does not answer within 5 s, is no video, or is a file.
+    """
+
+    def __init__(self, url: str, clock: HostClock) -> None:
+        self.rig: Rig | None = None
+        self._name = without_credentials(url)
+        self._clock = clock
+        self._stamps = CaptureStamps()
+        self._late = 0  # images in a row that came late
+        self._container = self._open(url)
+        try:
+            self._frames = self._begin(url)
+        except SourceError:
+            self.close()
+            raise
+
+    def read(self) -> CapturedImages:
+        """See `Device.read`."""
+        try:
+            frame = next(self._frames, None)
+        except (av.FFmpegError, OSError) as error:
+            raise SourceError(f"{self._name}: {_reason(error)}") from error
+        if frame is None:
+            raise SourceError(f"{self._name}: the stream ended")
+        arrival_ns = self._clock.now_ns()
+        own_ns = None
+        if self._has_times and frame.pts is not None and frame.time_base is not None:
+            own_ns = int(frame.pts * frame.time_base * 1_000_000_000)
+        stamp_ns = self._stamps.stamp(arrival_ns, own_ns)
+        self._warn_of_lag()
+        return CapturedImages(stamp_ns, (frame_pixels(frame, colour=False),))
+
+    def _warn_of_lag(self) -> None:
+        lag_ns = self._stamps.lag_ns
+        self._late = self._late + 1 if _MIN_LAG_NS < lag_ns < _MAX_LAG_NS else 0
+        if self._late != _MIN_LATE:
+            return
+        _log.warning(
+            "%s: images come %.1f s later than at first, and so do poses: this machine or the "
+            "network is too slow for the stream; choose a smaller one",
+            self._name,
+            1e-9 * lag_ns,
+        )
+
+    def close(self) -> None:
+        """See `Device.close`."""
+        self._container.close()
+
+    def _open(self, url: str) -> InputContainer:
+        try:
+            return av.open(url, options=_OPTIONS, timeout=(_OPEN_TIMEOUT_S, _READ_TIMEOUT_S))
+        except (av.FFmpegError, OSError, ValueError) as error:
+            raise SourceError(f"{self._name} cannot be opened: {_reason(error)}") from error
+
+    def _begin(self, url: str) -> Iterator[VideoFrame]:
+        """The frames, as they come."""
+        if not self._container.streams.video:
+            raise SourceError(f"{self._name} has no video")
+        if url.lower().startswith("http") and (self._container.duration or 0) > 0:
+            raise SourceError(f"{self._name} is a file: download it, and run on the file")
+        stream = self._container.streams.video[0]
+        stream.thread_type = "SLICE"  # threads that work on several frames delay them
+        self._has_times = self._container.format.name not in _INVENTED_TIMES
+        return (frame for frame in self._decoded() if not frame.is_corrupt)
+
+    def _decoded(self) -> Iterator[VideoFrame]:
+        for packet in self._container.demux(self._container.streams.video[0]):
+            try:
+                yield from packet.decode()
+            except av.InvalidDataError:  # until the first key frame, and after lost packets
+                continue
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, av.ExitError):
+        return f"no answer for {_READ_TIMEOUT_S:g} s"
+    return without_credentials(getattr(error, "strerror", None) or str(error))

@@ -1,0 +1,162 @@
+"""Opening of a log as a source."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from vo.base.errors import CalibrationError, VoError
+from vo.base.faults import Fault
+from vo.base.types import Floats, Mode, Rig, Trajectory
+from vo.recordings.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.recordings.formats.messages import CalibrationMessage, TransformsMessage
+from vo.recordings.sources.assembly import RecordingContents, assemble
+from vo.recordings.sources.imu import Imu, imu_of
+from vo.recordings.sources.listing import Shot
+from vo.recordings.sources.logs.choice import ChosenTopics, choose_topics
+from vo.recordings.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
+from vo.recordings.sources.logs.frame_tree import FrameTree, read_frame_tree
+from vo.recordings.sources.logs.images import list_images
+from vo.recordings.sources.logs.imu import imu_topics
+from vo.recordings.sources.logs.imu_pairs import log_imus
+from vo.recordings.sources.logs.log import Entry, Log, Topic
+from vo.recordings.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
+from vo.recordings.sources.logs.truth import find_truth_topic, read_truth
+from vo.recordings.sources.sequence import ImageSequence
+
+_log = logging.getLogger(__name__)
+
+
+def open_log(
+    log: Log,
+    format: str,
+    calibration: Path | None,
+    mode: Mode,
+    topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
+) -> ImageSequence:
+    """Create a source from a log.
+
+    Args:
+        log: the log.
+        format: name of the container in the registry.
+        calibration: file that overrides the calibration in the log.
+        mode: as in `open_source`.
+        topics: values of `--topic`.
+        right_offset_ns: as in `open_source`.
+
+    Raises:
+        SourceError: there are no images, or the choice of topics is ambiguous.
+        CalibrationError: the calibration is missing or invalid.
+    """
+    choice = choose_topics(log.topics, topics, mode)
+    opened = _ChosenLog(log, choice)
+    faults: list[Fault] = []
+    names = [topic.name for topic in (choice.left, choice.right) if topic is not None]
+    _log.info("%s: images of %s", log.path, " and ".join(names))
+    left = list_images(log, choice.left, opened.entries[choice.left.name], faults)
+    own = opened.calibration_of_log(mode) if calibration is None else None
+    right = None
+    if choice.right is not None and mode != "mono" and (own is None or own.rig.is_stereo):
+        right = list_images(log, choice.right, opened.entries[choice.right.name])
+
+    def calibrate(size: ImageSize) -> Calibration:
+        if own is not None:
+            return own
+        assert calibration is not None
+        found = read_calibration(calibration, size)
+        return replace(found, depth_per_metre=found.depth_per_metre or UNITS_PER_METRE)
+
+    contents = RecordingContents(
+        name=log.path.resolve().stem,
+        format=format,
+        left=left,
+        right=right,
+        calibrate=calibrate,
+        read_truth=opened.truth,
+        depth=opened.depth(),
+        find_imus=opened.imus,
+        right_offset_ns=right_offset_ns,
+        faults=faults,
+    )
+    return assemble(contents, mode)
+
+
+class _ChosenLog:
+    """The chosen topics of a log and the messages that describe its cameras."""
+
+    def __init__(self, log: Log, choice: ChosenTopics) -> None:
+        self._log = log
+        self._choice = choice
+        self._calibrations = _topics_of_type(log.topics, CalibrationMessage)
+        transforms = _topics_of_type(log.topics, TransformsMessage)
+        self._imus = imu_topics(log.topics, choice.imu)
+        self._truth = find_truth_topic(log.topics, choice.truth)
+        self._depth = depth_topics(log.topics) if choice.right is None else []
+        topics = [
+            choice.left,
+            choice.right,
+            self._truth,
+            *self._calibrations,
+            *transforms,
+            *self._depth,
+        ]
+        names = dict.fromkeys(topic.name for topic in topics if topic is not None)
+        self.entries: dict[str, list[Entry]] = log.entries(list(names))
+        listed = [(topic, self.entries[topic.name]) for topic in transforms]
+        self._frames: FrameTree = read_frame_tree(log, listed)
+
+    def calibration_of_log(self, mode: Mode) -> Calibration:
+        """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
+        left = self._camera(self._choice.left)
+        if self._choice.right is None or mode == "mono":
+            return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
+        try:
+            right = self._camera(self._choice.right)
+            transform = cam1_from_cam0(left, right, self._frames)
+        except CalibrationError as error:
+            if mode == "stereo":
+                raise
+            _log.warning("only the left camera is used: %s", error)
+            return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
+        return Calibration(Rig(left.camera, right.camera, transform))
+
+    def depth(self) -> list[Shot] | None:
+        """Depth registered to the left camera; None without such depth or with a right camera."""
+        frame = self._frame(self._choice.left)
+        return find_depth(self._log, self._depth, frame, self.entries) if frame else None
+
+    def truth(self, calibration: Calibration) -> Trajectory | None:
+        """Ground-truth poses of cam0, or None."""
+        if self._truth is None:
+            return None
+        entries = self.entries[self._truth.name]
+        frame = self._frame(self._choice.left)
+        return read_truth(self._log, self._truth, entries, frame, self._frames, calibration)
+
+    def imus(self, calibration: Calibration | None) -> list[Imu]:
+        """The inertial sensors."""
+
+        def find_extrinsics(frame: str) -> Floats | None:
+            return self._frames.between(self._frame(self._choice.left), frame) if frame else None
+
+        return log_imus(self._log, self._imus, find_extrinsics, imu_of(calibration))
+
+    def _camera(self, image: Topic) -> LogCamera:
+        return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
+
+    def _frame(self, image: Topic) -> str:
+        """The frame of the first readable image."""
+        for entry in self.entries[image.name]:
+            try:
+                message = image.codec.decode(self._log.read(entry))
+            except VoError:
+                continue
+            return str(getattr(message, "frame", "")).lstrip("/")
+        return ""
+
+
+def _topics_of_type(topics: Sequence[Topic], kind: type) -> list[Topic]:
+    return [topic for topic in topics if issubclass(topic.codec.kind, kind)]

@@ -1,0 +1,196 @@
+"""MCAP files as logs; the file is open only during reads."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection
+from pathlib import Path
+from typing import BinaryIO
+
+from vo.base.errors import SourceError
+from vo.recordings.sources.logs.log import NS_PER_S, Entry, Topic, UnreadTopic
+from vo.recordings.sources.mcap.chunks import Chunk, ChunkCache, DecompressedStream
+from vo.recordings.sources.mcap.contents import FileContents, read_contents
+from vo.recordings.sources.mcap.index import NO_CHUNK, MessageAddress, MessageIndex
+from vo.recordings.sources.mcap.records import Damaged
+
+_log = logging.getLogger(__name__)
+
+
+class McapFile:
+    """A `Log` in an MCAP file, with or without chunks and an index, intact or damaged."""
+
+    def __init__(self, path: Path, contents: FileContents | None = None) -> None:
+        """Read the contents of the file; one without a valid summary is scanned once.
+
+        Args:
+            path: the file.
+            contents: the contents, for a file that is still growing.
+
+        Raises:
+            SourceError: it is not an MCAP file, or it cannot be read.
+        """
+        self.path = path
+        try:
+            self._contents = contents or read_contents(path)
+        except OSError as error:
+            raise read_error(path, error) from error
+        self._cache = ChunkCache(path, self._contents.chunks)
+        self._channels_of = _channels_by_topic(self._contents.index)
+        self.topics = [
+            topic
+            for name in sorted(self._channels_of)
+            if (topic := _topic(name, self._channels_of[name], self._contents.index)) is not None
+        ]
+        self.unread = _unread(self._contents.index, frozenset(self._channels_of))
+        if contents is None:
+            warn_of_damage(path, self._contents)
+
+    def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
+        """See `Log.entries`."""
+        index = self._contents.index if self._contents.is_listed else self._list_messages(names)
+        return {
+            name: _merged([index.entries.get(number, []) for number in self._channels_of[name]])
+            for name in names
+        }
+
+    def read(self, entry: Entry) -> bytes:
+        """Read the bytes of a message.
+
+        Raises:
+            SourceError: the message is damaged, or the file cannot be read.
+        """
+        address: MessageAddress = entry.address
+        try:
+            if address.chunk == NO_CHUNK:
+                with self.path.open("rb") as stream:
+                    stream.seek(address.start)
+                    data = stream.read(address.length)
+            else:
+                whole = self._cache.get(address.chunk)
+                data = whole[address.start : address.start + address.length]
+        except OSError as error:
+            raise read_error(self.path, error) from error
+        except Damaged as damage:
+            raise SourceError(f"{self.path}: {damage} (at byte {damage.offset})") from damage
+        if len(data) < address.length:
+            raise SourceError(f"{self.path} ends inside a message")
+        return data
+
+    def _list_messages(self, names: Collection[str]) -> MessageIndex:
+        """Scan the chunks that contain messages of some topics."""
+        listed = frozenset(number for name in names for number in self._channels_of[name])
+        summary = self._contents.index
+        index = MessageIndex(
+            summary.channels, summary.schemas, codecs=summary.codecs, listed=listed
+        )
+        try:
+            with self.path.open("rb") as stream:
+                for number, chunk in enumerate(self._contents.chunks):
+                    if chunk.channels is None or chunk.channels & listed:
+                        self._list_chunk(index, stream, number, chunk)
+        except OSError as error:
+            raise read_error(self.path, error) from error
+        return index
+
+    def _list_chunk(self, index: MessageIndex, stream: BinaryIO, number: int, chunk: Chunk) -> None:
+        header = chunk.header
+        try:
+            # The checksum is verified when a message is read.
+            if chunk.is_compressed:
+                index.add_records(
+                    DecompressedStream(stream, chunk), 0, header.decompressed_size, number
+                )
+            else:
+                end = header.start + header.size
+                index.add_records(stream, header.start, end, number, offset=header.start)
+        except Damaged as damage:
+            _log.warning(
+                "%s: %s at byte %d: messages between %s and %s are skipped",
+                self.path,
+                damage,
+                header.start,
+                _seconds(header.first_ns),
+                _seconds(header.last_ns),
+            )
+
+
+def _channels_by_topic(index: MessageIndex) -> dict[str, list[int]]:
+    channels: dict[str, list[int]] = {}
+    for number, channel in sorted(index.channels.items()):
+        has_messages = number in index.statistics and index.statistics[number].count > 0
+        if has_messages and index.codec(number) is not None:
+            channels.setdefault(channel.topic, []).append(number)
+    return channels
+
+
+def _unread(index: MessageIndex, readable: frozenset[str]) -> list[UnreadTopic]:
+    """All other topics; the first channel of a topic determines its schema."""
+    found: dict[str, UnreadTopic] = {}
+    for number, channel in sorted(index.channels.items()):
+        if channel.topic not in readable:
+            schema = index.schemas.get(channel.schema_id)
+            kind = channel.message_encoding if schema is None else schema.name
+            topic = found.get(channel.topic, UnreadTopic(channel.topic, kind, 0))
+            count = index.statistics[number].count if number in index.statistics else 0
+            found[channel.topic] = topic._replace(messages=topic.messages + count)
+    return [found[name] for name in sorted(found)]
+
+
+def _topic(name: str, numbers: list[int], index: MessageIndex) -> Topic | None:
+    """A topic of one or more channels; the first determines its schema."""
+    codec = index.codec(numbers[0])
+    statistics = [index.statistics[number] for number in numbers]
+    if codec is None:
+        return None
+    return Topic(
+        name=name,
+        schema=index.schemas[index.channels[numbers[0]].schema_id].name,
+        codec=codec,
+        count=sum(each.count for each in statistics),
+        span_ns=max(t.last_ns for t in statistics) - min(t.first_ns for t in statistics),
+    )
+
+
+def _merged(lists: list[list[Entry]]) -> list[Entry]:
+    if len(lists) == 1:
+        return lists[0]
+    return sorted((entry for entries in lists for entry in entries), key=lambda e: e.log_ns)
+
+
+def warn_of_damage(path: Path, contents: FileContents) -> None:
+    """Warn of the unused part of a damaged file."""
+    if contents.damage is not None:
+        size = path.stat().st_size
+        statistics = contents.index.statistics.values()
+        count = sum(each.count for each in statistics)
+        span_ns = max((t.last_ns for t in statistics), default=0) - min(
+            (t.first_ns for t in statistics), default=0
+        )
+        _log.warning(
+            "%s is cut off or damaged at byte %d of %d (%s); readable: %d messages in %.1f s, "
+            "%.1f %% of the bytes",
+            path,
+            contents.damage.offset,
+            size,
+            contents.damage,
+            count,
+            span_ns / NS_PER_S if count else 0.0,
+            100.0 * contents.end / size,
+        )
+    if contents.damaged_chunks:
+        _log.warning(
+            "%s: %d of %d chunks are damaged and skipped",
+            path,
+            contents.damaged_chunks,
+            max(len(contents.chunks), contents.damaged_chunks),
+        )
+
+
+def _seconds(stamp_ns: int) -> str:
+    return f"{stamp_ns // NS_PER_S}.{stamp_ns % NS_PER_S:09d} s"
+
+
+def read_error(path: Path, error: OSError) -> SourceError:
+    """The error for a file that the operating system cannot read."""
+    return SourceError(f"{path} cannot be read: {error.strerror or error}")

@@ -1,0 +1,134 @@
+"""Records of an MCAP file: iteration and parsing.
+
+Source: MCAP format specification, version 0.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from io import BytesIO
+from typing import NamedTuple, Protocol, TypeVar, cast
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+
+from vo.recordings.formats.decompression import size_limit
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD_HEADER = struct.Struct("<BQ")
+MESSAGE_HEADER = struct.Struct("<HIQQ")
+_CHUNK_HEADER = struct.Struct("<QQQII")
+_MAX_OPCODE, _MIN_PRIVATE_OPCODE = 0x0F, 0x80
+_MAX_NAME_BYTES = 16
+
+Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Schema, Statistics)
+
+
+class Readable(Protocol):
+    """A file, or a decompressed stream."""
+
+    def seek(self, offset: int, /) -> int: ...  # noqa: D102
+
+    def read(self, size: int, /) -> bytes: ...  # noqa: D102
+
+
+class Damaged(Exception):
+    """Invalid data in a file.
+
+    Attributes:
+        offset: position in the file at which the data becomes invalid.
+    """
+
+    def __init__(self, offset: int, reason: str) -> None:
+        super().__init__(reason)
+        self.offset = offset
+
+
+class Record(NamedTuple):
+    """Opcode of a record, and position and length of its content."""
+
+    opcode: int
+    start: int
+    length: int
+
+
+class ChunkHeader(NamedTuple):
+    """Header of a chunk; its stored data has `size` bytes and begins at `start`."""
+
+    first_ns: int
+    last_ns: int
+    decompressed_size: int
+    crc: int
+    compression: str
+    start: int
+    size: int
+
+
+def records_between(stream: Readable, start: int, end: int) -> Iterator[Record]:
+    """Iterate over the records of a byte range; their contents are not read.
+
+    Raises:
+        Damaged: a record is invalid or exceeds the range.
+    """
+    position = start
+    while position < end:
+        stream.seek(position)
+        header = stream.read(RECORD_HEADER.size)
+        if len(header) < RECORD_HEADER.size:
+            raise Damaged(position, "the file ends inside a record")
+        opcode, length = RECORD_HEADER.unpack(header)
+        if opcode == 0 or _MAX_OPCODE < opcode < _MIN_PRIVATE_OPCODE:
+            raise Damaged(position, f"invalid record opcode 0x{opcode:02x}")
+        if position + RECORD_HEADER.size + length > end:
+            raise Damaged(position, "a record exceeds the end of the file")
+        yield Record(opcode, position + RECORD_HEADER.size, length)
+        position += RECORD_HEADER.size + length
+
+
+def read_chunk_header(stream: Readable, start: int, end: int) -> ChunkHeader:
+    """Read the header of a chunk.
+
+    Args:
+        stream: the file.
+        start: start of the content of the record.
+        end: end of the content of the record; 0 if unknown.
+
+    Raises:
+        Damaged: the header is invalid, or the data exceeds a known end.
+    """
+    stream.seek(start)
+    header = stream.read(_CHUNK_HEADER.size + _MAX_NAME_BYTES + 8)
+    if len(header) < _CHUNK_HEADER.size:
+        raise Damaged(start, "the file ends inside a chunk")
+    first_ns, last_ns, decompressed, crc, name_size = _CHUNK_HEADER.unpack_from(header)
+    after = _CHUNK_HEADER.size + name_size
+    if name_size > _MAX_NAME_BYTES or len(header) < after + 8:
+        raise Damaged(start, "the header of a chunk is invalid")
+    compression = header[_CHUNK_HEADER.size : after].decode("ascii", "replace")
+    (size,) = struct.unpack_from("<Q", header, after)
+    if decompressed > size_limit(size):
+        raise Damaged(start, f"a chunk of {size} bytes cannot have {decompressed}")
+    if start + after + 8 + size > end and end > 0:
+        raise Damaged(start, "the data of a chunk exceeds the chunk")
+    return ChunkHeader(first_ns, last_ns, decompressed, crc, compression, start + after + 8, size)
+
+
+def parse(kind: type[Parsed], content: bytes, offset: int) -> Parsed:
+    """Parse the content of a record.
+
+    Raises:
+        Damaged: the content is invalid.
+    """
+    try:
+        return cast(Parsed, kind.read(ReadDataStream(BytesIO(content))))
+    except (McapError, struct.error, UnicodeDecodeError, MemoryError, OverflowError) as error:
+        raise Damaged(offset, f"a {kind.__name__} record is invalid") from error
+
+
+MESSAGE, CHUNK = int(Opcode.MESSAGE), int(Opcode.CHUNK)
+SCHEMA, CHANNEL = int(Opcode.SCHEMA), int(Opcode.CHANNEL)
+FOOTER, DATA_END = int(Opcode.FOOTER), int(Opcode.DATA_END)
+STATISTICS, CHUNK_INDEX = int(Opcode.STATISTICS), int(Opcode.CHUNK_INDEX)

@@ -1,0 +1,1 @@
+"""Runs from a recording to its outputs: one, and batches of many."""

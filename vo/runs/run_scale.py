@@ -1,0 +1,91 @@
+"""The metric scale of a run: measured at its end, and applied to what it writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from vo.base.records.metric_scale import MetricScale, ScaleFindings, choose_scales, without_metric
+from vo.base.types import Estimate, Snapshot, Trajectory
+from vo.engine.markers.marker_problem import MarkerView
+from vo.engine.trajectory.store import TrajectoryStore
+from vo.outputs.recorders.recorder import MarkerRecorder, Recorder, ScaledRecorder
+from vo.runs.scaling.creation import ScaleSources
+from vo.runs.scaling.georeference import write_georeference
+
+
+class RunScale:
+    """Measures the scale of a run once, and converts its path to metres.
+
+    Attributes:
+        findings: what was measured; None before, and without a source.
+
+    Args:
+        sources: of the scale; without any, nothing is changed.
+    """
+
+    def __init__(self, sources: ScaleSources) -> None:
+        self.findings: ScaleFindings | None = None
+        self._sources = sources
+        self._unscaled: Trajectory | None = None  # the path in units of the map
+
+    @property
+    def by_world(self) -> Mapping[int, MetricScale]:
+        """By number of the world; empty before they are measured, and without any."""
+        return {} if self.findings is None else self.findings.by_segment()
+
+    def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
+        """Show a frame to the sources."""
+        for source in self._sources.all:
+            source.observe(estimate, snapshot)
+
+    def newest_markers(self) -> tuple[Sequence[MarkerView], Sequence[int]]:
+        """Markers in the newest frame, and ids that it shows twice; none if it was not searched."""
+        return ((), ()) if self._sources.markers is None else self._sources.markers.newest
+
+    def apply(
+        self,
+        store: TrajectoryStore,
+        folder: Path,
+        known: Sequence[str] = (),
+        metric: Collection[int] = (),
+    ) -> None:
+        """Measure, convert the path, and write the files of markers and globe.
+
+        Args:
+            store: the path.
+            folder: of the results.
+            known: sentences for the user beside those of the sources.
+            metric: numbers of the worlds that are in metres by a loaded map, and keep them.
+
+        Raises:
+            OutputError: one of them cannot be written.
+        """
+        if not self._sources.all or self.findings is not None:
+            return
+        path = store.path()
+        self._unscaled = path.trajectory
+        measured = [source.measure(path) for source in self._sources.all]
+        self.findings = without_metric(choose_scales(measured), metric)
+        if self.by_world:
+            store.apply_scales(self.by_world)
+        notes = list(known)
+        if self._sources.markers is not None:
+            self._sources.markers.write(folder, self.by_world)
+            new = self._sources.markers.new_worlds(self.by_world)
+            store.turn_worlds(new.poses)
+            notes += new.notes
+            self.findings = replace(self.findings, frames=new.frames)
+        if self._sources.on_globe is not None:
+            notes += write_georeference(folder, store.path(), self._sources.on_globe)
+        self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))
+
+    def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
+        """Finish a recorder, which gets paths and markers in units of the map, and the scales."""
+        if self.by_world and isinstance(recorder, ScaledRecorder):
+            recorder.set_scales(store.scales_of_segments(self.by_world))
+        markers = self._sources.markers
+        if markers is not None and isinstance(recorder, MarkerRecorder):
+            recorder.set_markers(markers.seen())
+        recorder.finish(causal, store.trajectory() if self._unscaled is None else self._unscaled)

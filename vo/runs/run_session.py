@@ -1,0 +1,398 @@
+"""A run from its first frame to its last."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from vo.base.config import Config
+from vo.base.errors import OutputError, SourceError
+from vo.base.printable import one_line
+from vo.base.records.inertial_use import InertialUse
+from vo.base.records.metric_scale import MetricScale
+from vo.base.stopwatch import Stopwatch
+from vo.base.types import Estimate, Frame, Trajectory
+from vo.engine.odometry import Odometry
+from vo.outputs.recorders.recorder import LoopClosures, LoopRecorder, Recorder
+from vo.outputs.results.covariance import covariance_line
+from vo.outputs.results.folder import RunFolder
+from vo.outputs.results.frames import frame_line
+from vo.outputs.results.live_summary import LiveState
+from vo.outputs.results.poses import pose_lines
+from vo.outputs.results.profile import Profile, make_profile
+from vo.outputs.results.run_statistics import RunStatistics
+from vo.outputs.results.summary import RunFacts, RunState, Status, Summary, summarise
+from vo.outputs.streaming.streams import PoseStreams
+from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
+from vo.recordings.sources.source import FrameStream, LiveStream, Recording
+from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
+from vo.runs.pose_log import PoseLog
+from vo.runs.progress import Progress
+from vo.runs.run_scale import RunScale
+from vo.runs.scaling.creation import ScaleSources
+
+_log = logging.getLogger(__name__)
+_REFRESH_S = 3.0  # minimum time between interim summaries
+_REFRESH_RATIO = 0.02  # maximum ratio of the time that they take
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run was asked for.
+
+    Attributes:
+        path: path of the recording, or the name of a stream.
+        public_name: name of the recording in summaries and messages.
+        config: all settings.
+        start: first frame.
+        end: frame to stop before, None for all.
+        stride: step between frames.
+        calibration: file that replaces the recording's calibration, or None.
+        topics: of a log, as given.
+        right_offset_ns: added to the stamps of right images, None if it was not given.
+        follow: whether it may still grow.
+        save_map: file for the map, or None.
+        profile_since: start of the profile on `time.perf_counter`, None for no profile.
+        scale: what measures the scale of a mono path, and places it on the globe.
+        unused_imu: the inertial sensor, if it cannot be used.
+    """
+
+    path: str
+    public_name: str
+    config: Config
+    start: int = 0
+    end: int | None = None
+    stride: int = 1
+    calibration: Path | None = None
+    topics: tuple[str, ...] = ()
+    right_offset_ns: int | None = None
+    follow: bool = False
+    save_map: Path | None = None
+    profile_since: float | None = None
+    scale: ScaleSources = ScaleSources()
+    unused_imu: InertialUse | None = None
+
+    def facts(self, stream: FrameStream) -> RunFacts:
+        """Facts about the run; a stream without length has no known number of frames."""
+        end = self.end or 0
+        if isinstance(stream, Recording):
+            length = len(stream)
+            end = length if self.end is None else min(self.end, length)
+        rig = stream.rig
+        return RunFacts(
+            source=self.public_name,
+            format=stream.format,
+            mode="rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono",
+            has_ground_truth=stream.ground_truth is not None,
+            seed=self.config.seed,
+            start=self.start,
+            end=end,
+            stride=self.stride,
+            requested=len(range(self.start, end, self.stride)) if self.stride else 0,
+            every=self.config.tracking.every,
+            calibration=None if self.calibration is None else str(self.calibration),
+            topics=self.topics,
+            right_offset_ns=self.right_offset_ns,
+        )
+
+    def with_public_name(self, text: str) -> str:
+        """A message with the public name in place of the path."""
+        return text if self.path == self.public_name else text.replace(self.path, self.public_name)
+
+
+class RunSession:
+    """A run from its first frame to its last: tracks frames, writes results, records, summarises.
+
+    Args:
+        stream: the recording.
+        request: what was asked for.
+        odometry: tracks the frames.
+        folder: receives the results.
+        recorder: records the run.
+        progress: observes the run.
+        poses: receive each pose at once.
+    """
+
+    def __init__(
+        self,
+        stream: FrameStream,
+        request: Request,
+        odometry: Odometry,
+        folder: RunFolder,
+        recorder: Recorder,
+        progress: Progress,
+        poses: PoseStreams,
+    ) -> None:
+        self._stream = stream
+        self._request = request
+        self._facts = request.facts(stream)
+        self._odometry = odometry
+        self._folder = folder
+        self._recorder = recorder
+        self._progress = progress
+        self._poses = poses
+        is_live = isinstance(stream, LiveStream)
+        poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults, is_live=is_live)
+        self._statistics = RunStatistics()
+        self._statistics.faults.add(stream.faults)
+        self._causal = PoseLog()
+        self._begun = self._refreshed = time.perf_counter()
+        self._refresh_took = 0.0
+        self._start_up_ms = 0.0
+        self._scale = RunScale(request.scale)
+        self._is_warned = False  # that results are incomplete
+
+    def run(self, frames: Iterator[Frame]) -> Summary:
+        """Track all frames, and save the results however the run ends.
+
+        Raises:
+            SourceError: no frame could be read.
+            OutputError: a file cannot be written.
+            KeyboardInterrupt: a stop signal came before the last frame.
+        """
+        with deferred_interrupts() as interrupts, closing(self._folder):
+            try:
+                self._begin()
+                self._track(frames, interrupts)
+                interrupts.close()
+                return self._end()
+            except BaseException as error:
+                interrupts.close()
+                self._end_early(error)
+                raise
+
+    def _begin(self) -> None:
+        """Start the progress; write a summary that holds if the process is killed from here on."""
+        self._summarise("interrupted")
+        self._progress.begin(self._stream.name, self._facts.requested)
+
+    def _track(self, frames: Iterator[Frame], interrupts: DeferredInterrupts) -> None:
+        """Track all frames; stop signals are delivered between them."""
+        clock = Stopwatch()
+        since = self._request.profile_since
+        self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
+        for estimate in self._estimates(_awaited(frames, clock, interrupts), interrupts):
+            with clock.stage("write"), interrupts.waiting(signals=1):
+                is_metric = self._odometry.placement.is_metric(estimate.segment)
+                self._poses.send(estimate, is_metric=is_metric)
+            self._output(estimate, clock)
+            self._folder.frames.append(frame_line(estimate, clock.stage_ms))
+            self._statistics.add_times(clock.stage_ms)
+            clock.stage_ms.clear()
+            self._refresh_if_due()
+            if not self._is_last(estimate):  # a signal in the last frame does not stop the run
+                interrupts.check()
+                self._poses.check()
+        if not self._statistics.frames:
+            raise _nothing_readable(self._stream)
+
+    def _estimates(
+        self, frames: Iterator[Frame], interrupts: DeferredInterrupts
+    ) -> Iterator[Estimate]:
+        """The results of all frames; those of a live stream at once, without reading ahead."""
+        stream = self._stream
+        if not isinstance(stream, LiveStream):
+            yield from self._odometry.track_all(frames)
+            return
+        interrupts.end_gently(stream.stop)
+        for frame in frames:
+            estimate = replace(self._odometry.locate(frame), dropped=stream.dropped)
+            self._statistics.add_delay(1e-6 * (stream.now_ns() - frame.stamp_ns))
+            yield estimate
+            self._odometry.update_map()
+
+    def _end(self) -> Summary:
+        """Finish the files and the recording after the last frame, and summarise."""
+        self._end_progress()
+        self._statistics.add_times(self._odometry.finish())
+        clock = Stopwatch()
+        with clock.stage("write"):
+            self._apply_scale()
+            self._finish_files()
+            self._save_map()
+            self._summarise("finished")  # the path is complete, whatever happens to recordings
+        with clock.stage("record"):
+            self._finish_recording()
+        self._statistics.add_times(clock.stage_ms)
+        return self._summarise("finished")
+
+    def _end_early(self, error: BaseException) -> None:
+        """Save the results so far before an error is raised again."""
+        status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
+        reason = None if status == "interrupted" else _one_line(error)
+        # A full disk is one error, however many files it concerns.
+        self._is_warned = isinstance(error, OutputError)
+        self._end_progress()
+        if status == "interrupted":
+            self._save(self._odometry.finish)  # fails if a frame was broken off
+        self._save(self._apply_scale)
+        self._save(self._finish_files)
+        self._save(lambda: self._summarise(status, reason))
+        if status == "interrupted":
+            self._save(self._save_map)
+        self._save(self._finish_recording)
+
+    def _end_progress(self) -> None:
+        with suppress(OSError):  # the terminal was closed
+            self._progress.finish()
+
+    def _save(self, part: Callable[[], object]) -> None:
+        """Save one part; an error, such as a full disk, does not affect the others."""
+        try:
+            part()
+        except Exception as error:
+            if not self._is_warned:
+                reason = str(error) if isinstance(error, OutputError) else _one_line(error)
+                _log.warning("results are incomplete: %s", reason)
+            self._is_warned = True
+
+    def _is_last(self, estimate: Estimate) -> bool:
+        """Whether no frame of a recording is left after this one."""
+        step = self._facts.stride * self._facts.every
+        is_known = self._facts.requested > 0 and not self._request.follow
+        return is_known and estimate.frame_index + step >= self._facts.end
+
+    def _finish_files(self) -> None:
+        try:
+            if not self._folder.is_finished:
+                self._write_changed()
+                if self._odometry.placement.closed_loops:
+                    self._folder.write_odometry(self._before_loops(self._scale.by_world))
+        finally:
+            self._folder.finish()
+
+    def _save_map(self) -> None:
+        if self._request.save_map is not None:
+            self._odometry.placement.save_map(
+                self._request.save_map, self._request.public_name, self._scale.by_world
+            )
+
+    def _apply_scale(self) -> None:
+        placement = self._odometry.placement
+        metric = () if placement.map_use is None else placement.map_use.metric_worlds
+        self._scale.apply(self._odometry.trajectory, self._folder.path, placement.notes, metric)
+
+    def _finish_recording(self) -> None:
+        placement = self._odometry.placement
+        if placement.closed_loops and isinstance(self._recorder, LoopRecorder):
+            store = self._odometry.trajectory
+            found = placement.closed_loops, placement.relocalisations, self._before_loops({})
+            scales = store.map_scales(self._scale.by_world)
+            self._recorder.set_loops(LoopClosures(*found, store.worlds, scales))
+        self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
+
+    def _before_loops(self, scales: Mapping[int, MetricScale]) -> Trajectory:
+        store = self._odometry.trajectory
+        return self._odometry.placement.path_before_loops(store, scales)
+
+    def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
+        self._statistics.add(estimate)
+        clock.stage_ms.update(estimate.stage_ms)
+        with clock.stage("write"):
+            self._write(estimate)
+        self._scale.observe(estimate, self._odometry.snapshot)
+        self._odometry.placement.see_markers(estimate.frame_index, *self._scale.newest_markers())
+        with clock.stage("record"):
+            self._recorder.record(estimate, self._odometry.snapshot)
+        done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1
+        self._progress.step(done, estimate)
+
+    def _write(self, estimate: Estimate) -> None:
+        """Append a frame, and rewrite the poses that optimisation has moved."""
+        if estimate.world_from_cam0 is not None:
+            self._causal.append(estimate.stamp_ns, estimate.world_from_cam0)
+        if estimate.causal_pose is not None:
+            self._folder.causal.append(tum_line(estimate.stamp_ns, estimate.causal_pose))
+        self._write_changed()
+
+    def _write_changed(self) -> None:
+        trajectory = self._odometry.trajectory
+        row, keyframe_row = trajectory.take_changes()
+        path = trajectory.path(row)
+        fields = [pose_fields(pose) for pose in path.trajectory.world_from_cam]
+        stamps_ns = path.trajectory.stamps_ns.tolist()
+        self._folder.trajectory.replace_from(row, map(tum_line_of_fields, stamps_ns, fields))
+        self._folder.poses.replace_from(row, pose_lines(path, fields))
+        keyframes = trajectory.covariances(keyframe_row)
+        self._folder.covariance.replace_from(keyframe_row, map(covariance_line, keyframes))
+
+    def _refresh_if_due(self) -> None:
+        """Update the summary every few seconds, less often if that takes long."""
+        now = time.perf_counter()
+        if now - self._refreshed < max(_REFRESH_S, self._refresh_took / _REFRESH_RATIO):
+            return
+        self._summarise("interrupted")
+        self._refreshed = time.perf_counter()
+        self._refresh_took = self._refreshed - now
+
+    def _summarise(self, status: Status, error: str | None = None) -> Summary:
+        self._facts = self._request.facts(self._stream)  # a growing log has more frames now
+        named = self._request.with_public_name
+        state = RunState(
+            self._facts,
+            status,
+            self._statistics,
+            self._odometry.trajectory.path(),
+            keyframes=self._odometry.trajectory.keyframe_count,
+            skipped=[replace(s, reason=named(s.reason)) for s in self._stream.skipped],
+            unpaired=self._stream.unpaired,
+            wall_s=time.perf_counter() - self._begun,
+            calibration=self._odometry.calibration_errors,
+            error=None if error is None else named(error),
+            profile=self._profile(),
+            live=self._live_state(),
+            hidden=self._odometry.hidden,
+            loops=self._odometry.placement.closed_loops,
+            relocalisations=self._odometry.placement.relocalisations,
+            map_use=self._odometry.placement.map_use,
+            networks=self._odometry.networks,
+            scale=self._scale.findings,
+            inertial=self._odometry.placement.inertial or self._request.unused_imu,
+        )
+        summary = summarise(state)
+        self._folder.write_summary(summary.to_dict())
+        return summary
+
+    def _live_state(self) -> LiveState | None:
+        """Drops and gaps of a live stream until now."""
+        stream = self._stream
+        if not isinstance(stream, LiveStream):
+            return None
+        return LiveState(stream.dropped, tuple(stream.gaps), stream.unrecorded)
+
+    def _profile(self) -> Profile | None:
+        """Profile of the run until now."""
+        since = self._request.profile_since
+        if since is None:
+            return None
+        wall_ms = (time.perf_counter() - since) * 1e3
+        return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._statistics.total_ms()})
+
+
+def _awaited(
+    frames: Iterator[Frame], clock: Stopwatch, interrupts: DeferredInterrupts
+) -> Iterator[Frame]:
+    """The same frames; the time to read them counts towards stage `read`."""
+    while True:
+        with clock.stage("read"), interrupts.waiting():
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
+
+
+def _nothing_readable(stream: FrameStream) -> SourceError:
+    if not stream.skipped:
+        return SourceError(f"{stream.name}: it ended before the first frame")
+    count, first = len(stream.skipped), stream.skipped[0].reason
+    return SourceError(
+        f"{stream.name}: none of the {count} requested frames can be read; the first: {first}"
+    )
+
+
+def _one_line(error: BaseException) -> str:
+    return one_line(f"{type(error).__name__}: {error}")

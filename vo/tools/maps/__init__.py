@@ -1,0 +1,1 @@
+"""Saved maps: what is in them, two as one, and their points."""

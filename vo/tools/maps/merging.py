@@ -1,0 +1,162 @@
+"""Two maps that share a place as one."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from vo.base.config import Config
+from vo.base.errors import ConfigError
+from vo.engine.backend.pose_graph import PoseGraph
+from vo.engine.memory.loaded_map import LoadedMap, load_map, with_covariance_of
+from vo.engine.memory.recognition import SUCCESSION, Recogniser
+from vo.engine.places.database import KeyframeDatabase
+from vo.engine.places.encoding import encode_place
+from vo.engine.places.loop_verification import LoopVerifier
+from vo.engine.places.map_file import MapFile, MapHeader, write_map
+from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.screening import Screening
+from vo.engine.places.vocabulary import Vocabulary
+
+
+def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) -> int:
+    """Write two maps as one, whose worlds are connected where they show the same place.
+
+    Keyframes of the second map are searched in the first one, by the rules that are used between a
+    run and a loaded map. The worlds of both are rigid: nothing in them moves.
+
+    Args:
+        first: map whose worlds keep their frames and numbers.
+        second: map whose sessions and worlds are numbered after those of the first one.
+        output: file to write.
+        vocabulary: that of both maps.
+
+    Returns:
+        The number of keyframes of the second map that were recognised.
+
+    Raises:
+        SourceError: a map is missing or damaged.
+        ConfigError: they cannot be compared, or share no place.
+        OutputError: the file cannot be written.
+    """
+    with MapFile(second) as added, KeyframeDatabase(vocabulary) as database:
+        is_metric = [added.place(key).is_metric for key in added.keys]
+        loaded = load_map(first, database, is_metric=bool(is_metric[:1] == [True]))
+        _check(added, first, second, loaded.camera, vocabulary, is_metric)
+        sessions = len(loaded.sessions)
+        places = list(_in_order(added, sessions))
+        loops = _search(database, loaded, places)
+        placed = _renumbered(added.placed, sessions, int(loaded.placed.world.max(initial=-1)) + 1)
+        both = _connected(loaded, placed, is_metric, loops)
+        rejected = {(loop.earlier, loop.later) for loop in both.rejected}
+        kept = [loop for loop in loops if (loop.earlier, loop.later) not in rejected]
+        if not kept:
+            raise ConfigError(
+                f"the maps {first} and {second} share no place that is recognised: they stay two "
+                "maps; record a session that passes through both"
+            )
+        keyframes = [(key, database.encoded(key)) for key in loaded.placed.keys]
+        keyframes += [(place.key, encode_place(place)) for place in places]
+        names = (*loaded.sessions, *added.header.sessions)
+        first_worlds = int(loaded.placed.world.max(initial=-1)) + 1
+        own_worlds = {first_worlds + world for world in added.header.metric_worlds}
+        metric = {*loaded.metric_worlds, *own_worlds} & set(both.world.tolist())
+        header = MapHeader(loaded.camera, vocabulary.id, names, tuple(sorted(metric)))
+        both = with_covariance_of(both, _joined(loaded.placed, placed))
+        own = [_of_later_session(loop, sessions) for loop in added.loops]
+        markers = [each._replace(key=_moved(each.key, sessions)) for each in added.markers]
+        markers = [*loaded.markers, *markers]
+        write_map(output, header, keyframes, both, [*loaded.loops, *own, *kept], markers)
+        return len(kept)
+
+
+def _check(
+    added: MapFile,
+    first: Path,
+    second: Path,
+    camera: object,
+    vocabulary: Vocabulary,
+    is_metric: list[bool],
+) -> None:
+    if added.header.vocabulary != vocabulary.id:
+        raise ConfigError(f"the maps {first} and {second} were made with different vocabularies")
+    if added.header.camera != camera:
+        raise ConfigError(
+            f"the maps {first} and {second} were made with different cameras, and a map has one "
+            "camera"
+        )
+    if not is_metric:
+        raise ConfigError(f"the map {second} has no keyframes")
+
+
+def _in_order(added: MapFile, sessions: int) -> Iterator[Place]:
+    """The keyframes of the second map, in the order of their sessions and times."""
+    for key in sorted(added.keys):
+        place = added.place(key)
+        yield replace(place, key=_moved(key, sessions))
+
+
+def _search(database: KeyframeDatabase, loaded: LoadedMap, places: list[Place]) -> list[Loop]:
+    """Loops from keyframes to those of the first map."""
+    config = Config()
+    scale_factor, sigma_px = config.features.scale_factor, config.patches.sigma_px
+    screening = Screening(database.vocabulary, scale_factor, seed=config.seed)
+    verifier = LoopVerifier(scale_factor, sigma_px=sigma_px, seed=config.seed)
+    recogniser = Recogniser(
+        database, lambda: (screening, verifier), loaded.camera, 1, loaded, localizes=True
+    )
+    recent: deque[Place] = deque(maxlen=SUCCESSION)
+    found: list[Loop] = []
+    for place in places:
+        if recent and _segment(recent[0]) != _segment(place):
+            recent.clear()
+        recent.appendleft(place)
+        found += recogniser.search(list(recent)).result().loops
+    return found
+
+
+def _segment(place: Place) -> tuple[int, int]:
+    return place.key.session, place.frame.segment
+
+
+def _connected(
+    loaded: LoadedMap, added: PlacedKeyframes, is_metric: list[bool], loops: list[Loop]
+) -> PlacedKeyframes:
+    """All keyframes, in the worlds that loops connect."""
+    graph = PoseGraph()
+    graph.add_map(loaded.placed, loaded.is_metric)
+    graph.add_map(added, is_metric)
+    for loop in loops:
+        graph.add_loop(loop)
+    graph.submit()
+    return graph.result()
+
+
+def _renumbered(placed: PlacedKeyframes, sessions: int, worlds: int) -> PlacedKeyframes:
+    """Keyframes with the numbers of sessions and worlds that they have after those of a map."""
+    keys = tuple(_moved(key, sessions) for key in placed.keys)
+    return replace(placed, keys=keys, world=placed.world + worlds)
+
+
+def _of_later_session(loop: Loop, sessions: int) -> Loop:
+    earlier, later = _moved(loop.earlier, sessions), _moved(loop.later, sessions)
+    return replace(loop, earlier=earlier, later=later)
+
+
+def _moved(key: PlaceKey, sessions: int) -> PlaceKey:
+    return PlaceKey(key.session + sessions, key.keyframe)
+
+
+def _joined(first: PlacedKeyframes, second: PlacedKeyframes) -> PlacedKeyframes:
+    return PlacedKeyframes(
+        first.keys + second.keys,
+        np.concatenate([first.world, second.world]),
+        np.concatenate([first.world_from_cam, second.world_from_cam]),
+        np.concatenate([first.scale, second.scale]),
+        np.concatenate([first.covariance, second.covariance]),
+        (),
+    )

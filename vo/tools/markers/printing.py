@@ -1,0 +1,104 @@
+"""Sheets of markers in true size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vo.base.errors import ConfigError, OutputError
+from vo.base.extras import require
+from vo.base.types import Bytes
+from vo.engine.markers.dictionaries import dictionary, marker_count
+from vo.tools.markers.boards import check_length
+
+_SUFFIXES = (".pdf", ".png", ".svg")
+_METRES_PER_INCH = 0.0254
+_DPI = 300
+_PAGE_M = 0.190  # usable width of A4
+_LEGEND_M = 0.008
+_MAX_MARKERS = 100
+
+
+def save_sheet(path: Path, name: str, ids: Sequence[int], length_m: float) -> None:
+    """Write markers side by side, each with a white margin of one cell and its id and size.
+
+    Args:
+        path: .pdf, .png or .svg file.
+        name: of the dictionary.
+        ids: of the markers.
+        length_m: side of the black squares.
+
+    Raises:
+        ConfigError: no such marker, or an implausible length.
+        OutputError: unsupported suffix, or the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    check_length(length_m)
+    _check_ids(name, ids)
+    if path.suffix.lower() not in _SUFFIXES:
+        raise OutputError(f"{path}: unsupported kind of file; use {', '.join(_SUFFIXES)}")
+    require("matplotlib", extra="report", what="printed markers")
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    cells = int(dictionary(name).markerSize) + 2
+    tile = length_m * (cells + 2) / cells  # with a margin of one cell
+    columns = max(1, min(len(ids), int(_PAGE_M / tile)))
+    rows = -(-len(ids) // columns)
+    width, height = columns * tile, rows * (tile + _LEGEND_M)
+    figure = Figure(figsize=(width / _METRES_PER_INCH, height / _METRES_PER_INCH), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    for n, number in enumerate(ids):
+        row, column = divmod(n, columns)
+        left, top = column * tile, height - row * (tile + _LEGEND_M)
+        axes = figure.add_axes((left / width, (top - tile) / height, tile / width, tile / height))
+        axes.imshow(marker_image(name, number), cmap="gray", vmin=0, vmax=255)
+        axes.set_axis_off()
+        figure.text(
+            (left + 0.5 * tile) / width,
+            (top - tile - 0.4 * _LEGEND_M) / height,
+            f"{name} {number}, black square {1000 * length_m:g} mm",
+            ha="center",
+            va="center",
+            size=min(9.0, 1500.0 * tile / 25.4),
+        )
+    try:
+        figure.savefig(path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def marker_image(name: str, number: int) -> Bytes:
+    """A marker with a white margin of one cell, one pixel for each cell."""
+    markers = dictionary(name)
+    image = markers.generateImageMarker(number, int(markers.markerSize) + 2)
+    return np.pad(np.asarray(image, dtype=np.uint8), 1, constant_values=255)
+
+
+def parse_ids(text: str) -> list[int]:
+    """Ids of a text such as `0-3,7`.
+
+    Raises:
+        ConfigError: it is not one.
+    """
+    ids: list[int] = []
+    try:
+        for part in text.split(","):
+            first, dash, last = part.strip().partition("-")
+            ids += range(int(first), int(last) + 1) if dash else [int(first)]
+    except ValueError:
+        ids = []
+    if not ids or len(ids) > _MAX_MARKERS:
+        raise ConfigError(
+            f"--ids is '{text}'; give up to {_MAX_MARKERS} numbers of markers, such as 0-3,7"
+        )
+    return ids
+
+
+def _check_ids(name: str, ids: Sequence[int]) -> None:
+    count = marker_count(name)
+    for number in ids:
+        if not 0 <= number < count:
+            raise ConfigError(f"{name} has no marker {number}; its ids are 0 to {count - 1}")

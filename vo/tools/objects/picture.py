@@ -1,0 +1,84 @@
+"""Picture of an image with the outlines of the objects in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vo.base.errors import OutputError
+from vo.base.types import Bytes, Floats
+from vo.tools.objects.records import FoundObject
+
+_SUFFIXES = (".png", ".jpg", ".jpeg")
+_COLOURS = ((60, 200, 60), (40, 140, 255), (230, 120, 40), (200, 60, 200), (40, 210, 230))
+_REACH = 4.0  # outlines are drawn up to so many image sizes away
+
+
+def write_objects_picture(
+    path: Path, image: Bytes, found: Sequence[FoundObject], tracks: Sequence[int]
+) -> None:
+    """Draw outlines, names and confidences; where the pose is known, the axes of the object.
+
+    Args:
+        path: PNG or JPEG file.
+        image: (H, W) uint8.
+        found: what is drawn.
+        tracks: number of each, which gives the colour.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    check_picture(path)
+    canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    thickness = max(1, round(max(image.shape) / 500))
+    for each, track in zip(found, tracks, strict=True):
+        colour = _COLOURS[track % len(_COLOURS)]
+        corners = _drawable(each.outline, image.shape)
+        cv2.polylines(canvas, [corners], True, colour, thickness, cv2.LINE_AA)
+        # The upper side of the stored image is thicker, so that the orientation can be seen.
+        cv2.line(canvas, corners[0], corners[1], colour, 3 * thickness, cv2.LINE_AA)
+        _label(canvas, f"{each.name} {each.confidence:.2f}", corners, colour, thickness)
+    data = cv2.imencode(path.suffix.lower(), canvas)[1].tobytes()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def check_picture(path: Path) -> None:
+    """Check the suffix of a picture.
+
+    Raises:
+        OutputError: it is none that is written.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise OutputError(f"{path} must end in {', '.join(_SUFFIXES)}, which are written")
+
+
+def _drawable(
+    outline: Floats, shape: tuple[int, ...]
+) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+    limit = _REACH * max(shape)
+    return np.rint(np.clip(outline, -limit, limit)).astype(np.int32)
+
+
+def _label(
+    canvas: Bytes,
+    text: str,
+    corners: np.ndarray[tuple[int, int], np.dtype[np.int32]],
+    colour: tuple[int, int, int],
+    thickness: int,
+) -> None:
+    plain = text.encode("ascii", "replace").decode()
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.5 * thickness
+    (width, height), below = cv2.getTextSize(plain, font, scale, thickness)
+    rows, columns = canvas.shape[:2]
+    at = corners.clip(0, (columns - 1, rows - 1)).min(axis=0)
+    left = int(np.clip(at[0], 0, max(columns - width, 0)))
+    top = int(np.clip(at[1], height + below, rows - below - 1))
+    cv2.rectangle(canvas, (left, top - height - below), (left + width, top + below), colour, -1)
+    cv2.putText(canvas, plain, (left, top), font, scale, (255, 255, 255), thickness, cv2.LINE_AA)

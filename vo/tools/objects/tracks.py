@@ -1,0 +1,85 @@
+"""Objects through a recording: reports of several frames that are of one instance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.base.types import Floats
+from vo.tools.objects.overlap import overlap
+from vo.tools.objects.records import FoundObject
+
+_MIN_OVERLAP = 0.1
+_MAX_GAP = 15  # frames that an instance may be hidden
+
+
+@dataclass
+class Track:
+    """An instance through a recording.
+
+    Attributes:
+        id: from 0.
+        name: of the object.
+        first: number of the first frame.
+        last: number of the last frame.
+        frames: how many report it.
+        confidence: the highest one.
+        outline: (M, 2) in the last frame.
+    """
+
+    id: int
+    name: str
+    first: int
+    last: int
+    frames: int
+    confidence: float
+    outline: Floats
+
+
+class ObjectTracker:
+    """Gives the same id to reports of the same instance."""
+
+    def __init__(self) -> None:
+        self.tracks: list[Track] = []
+        self._before: list[int] = []  # frames that were searched
+
+    def update(self, frame: int, found: Sequence[FoundObject]) -> list[int]:
+        """The id of each report of a frame.
+
+        Args:
+            frame: its number, larger than that before.
+            found: what is reported.
+        """
+        oldest = self._before[-_MAX_GAP] if len(self._before) >= _MAX_GAP else -1
+        self._before.append(frame)
+        alive = [track for track in self.tracks if track.last >= oldest]
+        pairs = [
+            (_nearness(track, each), track.id, n)
+            for n, each in enumerate(found)
+            for track in alive
+            if track.name == each.name
+        ]
+        ids: dict[int, int] = {}
+        for _, track_id, n in sorted(pairs, key=lambda pair: (-pair[0], *pair[1:])):
+            if n not in ids and track_id not in ids.values():
+                ids[n] = track_id
+        for n, each in enumerate(found):
+            if n not in ids:
+                ids[n] = len(self.tracks)
+                self.tracks.append(Track(ids[n], each.name, frame, frame, 0, 0.0, each.outline))
+            track = self.tracks[ids[n]]
+            track.last = frame
+            track.frames += 1
+            track.confidence = max(track.confidence, each.confidence)
+            track.outline = each.outline
+        return [ids[n] for n in range(len(found))]
+
+
+def _nearness(track: Track, found: FoundObject) -> float:
+    """Overlap with the last outline; without any, minus the distance of the centres."""
+    common = overlap(track.outline, found.outline)
+    if common >= _MIN_OVERLAP:
+        return common
+    return -float(np.linalg.norm(track.outline.mean(axis=0) - found.outline.mean(axis=0)))

@@ -1,0 +1,1 @@
+"""What two images have in common: matches, the geometry between them, motion."""

@@ -1,0 +1,179 @@
+"""Two images: their features, matches, the geometry between them, and the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from vo.base.config import Config
+from vo.base.geometry.cameras import ideal_pixels
+from vo.base.types import Bools, Bytes, Camera, Floats, Keypoints
+from vo.engine.features.extractor import make_extractor
+from vo.engine.features.matching import grid_motion_consistent, make_matcher, method_of
+from vo.engine.frontend.contracts import FeatureExtractor, Matches, feature_set
+from vo.tools.pairs.model_selection import fit_best
+from vo.tools.pairs.relative_pose import relative_pose
+from vo.tools.pairs.two_view_fit import fit_essential, fit_fundamental, fit_homography
+from vo.tools.pairs.two_view_records import Fit, FitFailure, FitOptions, RelativePose
+
+ModelName = Literal["auto", "f", "e", "h"]
+
+
+class PairOptions(NamedTuple):
+    """How two images are related.
+
+    Attributes:
+        config: features and matching.
+        grid_motion: keep matches that their neighbours support (GMS) instead of a ratio test.
+        model: `f` fundamental, `e` essential (needs cameras), `h` homography, or the one of these
+            that explains the matches best.
+        fit: robust method and threshold.
+        cameras: of both images, None if they are unknown.
+    """
+
+    config: Config
+    grid_motion: bool = False
+    model: ModelName = "auto"
+    fit: FitOptions = FitOptions()
+    cameras: tuple[Camera, Camera] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class ImagePair:
+    """Two images and what relates them.
+
+    Attributes:
+        sizes: (width, height) of both images.
+        keypoints: features of both images.
+        matches: rows of the features that belong together.
+        matcher: what found them: a value of `matching.method` other than `auto`, or `gms`.
+        fit: the model of the matches; of cameras with a lens, its pixels are those of ideal pinhole
+            cameras with the same matrix.
+        failure: why there is no model, None if there is one.
+        pose: motion from the first to the second camera, None without cameras or model.
+        pose_failure: why there is no pose, None if there is one or no cameras are known.
+        cameras: of both images, None if they are unknown.
+        stage_ms: time of each step in milliseconds.
+    """
+
+    sizes: tuple[tuple[int, int], tuple[int, int]]
+    keypoints: tuple[Keypoints, Keypoints]
+    matches: Matches
+    matcher: str
+    fit: Fit | None
+    failure: FitFailure | None
+    pose: RelativePose | None
+    pose_failure: FitFailure | None
+    cameras: tuple[Camera, Camera] | None
+    stage_ms: dict[str, float]
+
+    @property
+    def first_xy(self) -> Floats:
+        """(n, 2) pixels of the matches in the first image."""
+        return np.asarray(self.keypoints[0].xy[self.matches.query], dtype=np.float64)
+
+    @property
+    def second_xy(self) -> Floats:
+        """(n, 2) pixels of the matches in the second image."""
+        return np.asarray(self.keypoints[1].xy[self.matches.train], dtype=np.float64)
+
+    @property
+    def inlier(self) -> Bools:
+        """(n,) matches that the model explains."""
+        return np.zeros(len(self.matches.query), bool) if self.fit is None else self.fit.inlier
+
+
+def match_images(
+    images: tuple[Bytes, Bytes],
+    options: PairOptions,
+    masks: tuple[Bytes | None, Bytes | None] = (None, None),
+) -> ImagePair:
+    """Relate two images.
+
+    Args:
+        images: (H, W) uint8 each, perhaps of different size.
+        options: how.
+        masks: (H, W) uint8 for each, 0 where no feature may lie.
+
+    Raises:
+        ConfigError: this build of OpenCV lacks a detector, descriptor or matcher.
+    """
+    watch = _Watch()
+    config = options.config
+    extractor = make_extractor(config.features)
+    with watch("features"):
+        first, second = (
+            extractor.extract(image, mask) for image, mask in zip(images, masks, strict=True)
+        )
+    sizes = tuple((image.shape[1], image.shape[0]) for image in images)
+    with watch("matching"):
+        matches = _matches(extractor, (first, second), (sizes[0], sizes[1]), options)
+    matcher = "gms" if options.grid_motion else method_of(config.matching, extractor)
+    pair = ImagePair(
+        (sizes[0], sizes[1]),
+        *((first, second), matches, matcher, None, None, None, None, options.cameras, watch.ms),
+    )
+    with watch("geometry"):
+        return _with_geometry(pair, options)
+
+
+class _Watch:
+    """Measures steps."""
+
+    def __init__(self) -> None:
+        self.ms: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        begin = perf_counter()
+        try:
+            yield
+        finally:
+            self.ms[name] = 1e3 * (perf_counter() - begin)
+
+
+def _matches(
+    extractor: FeatureExtractor,
+    keypoints: tuple[Keypoints, Keypoints],
+    sizes: tuple[tuple[int, int], tuple[int, int]],
+    options: PairOptions,
+) -> Matches:
+    config = options.config
+    matcher = make_matcher(config.matching, extractor, config.features)
+    query, train = (
+        feature_set(each, size=size) for each, size in zip(keypoints, sizes, strict=True)
+    )
+    if not options.grid_motion:
+        return matcher.match(query, train)
+    every = matcher.match(query, train, ratio=1.0, check_rotation=False)
+    return grid_motion_consistent(every, keypoints[0].xy, keypoints[1].xy, sizes)
+
+
+def _with_geometry(pair: ImagePair, options: PairOptions) -> ImagePair:
+    first, second, cameras = pair.first_xy, pair.second_xy, pair.cameras
+    matrices = None
+    if cameras is not None:
+        matrices = (cameras[0].matrix, cameras[1].matrix)
+        first, second = ideal_pixels(cameras[0], first), ideal_pixels(cameras[1], second)
+    quality = pair.matches.score
+    if options.model == "auto":
+        found = fit_best(first, second, matrices, options.fit, quality)
+    elif options.model == "e":
+        assert matrices is not None, "an essential matrix needs cameras"
+        found = fit_essential(first, second, matrices, options.fit, quality)
+    else:
+        function = fit_fundamental if options.model == "f" else fit_homography
+        found = function(first, second, options.fit, quality)
+    if isinstance(found, FitFailure):
+        return replace(pair, failure=found)
+    if matrices is None:
+        return replace(pair, fit=found)
+    pose = relative_pose(found, first, second, matrices, options.fit.threshold_px)
+    if isinstance(pose, FitFailure):
+        return replace(pair, fit=found, pose_failure=pose)
+    return replace(pair, fit=found, pose=pose)

@@ -1,0 +1,120 @@
+"""Records of two-view geometry: what was fitted to matches of two images, or why nothing was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import Literal, NamedTuple
+
+from vo.base.types import Bools, Floats
+
+RobustMethod = Literal[
+    "ransac", "lmeds", "usac_default", "usac_fast", "usac_accurate", "magsac", "prosac"
+]
+"""How a model is found among wrong matches: plain RANSAC; least median of squares, for less than
+half of them wrong; and OpenCV's USAC with local optimisation, its fast and accurate settings,
+MAGSAC++, and PROSAC, which tries the best matches first."""
+
+
+class ModelKind(StrEnum):
+    """What relates two images."""
+
+    FUNDAMENTAL = "fundamental"
+    ESSENTIAL = "essential"
+    HOMOGRAPHY = "homography"
+
+
+class FitFailureReason(Enum):
+    """Why two-view geometry failed; the value is the text with the numbers of a `FitFailure`."""
+
+    FEW_MATCHES = "{value:.0f} matches, {needed:.0f} needed"
+    FEW_PLACES = "the matches are at {value:.0f} different places, {needed:.0f} needed"
+    ON_A_LINE = "the matches lie on one line"
+    NO_CONSENSUS = "no model fits more matches than chance ({value:.0f} of {needed:.0f})"
+    NO_MOTION = "the image does not move, so that there are no epipolar lines"
+    PURE_ROTATION = "the camera only turns, so that there are no epipolar lines"
+    PLANE_OR_ROTATION = "one plane, or a rotation, explains all matches; only a homography fits"
+    NOT_IN_FRONT = "{value:.0f} of {needed:.0f} points are in front of both cameras, too few"
+
+
+class FitFailure(NamedTuple):
+    """Why matches gave no model, or no pose.
+
+    Attributes:
+        reason: what failed.
+        value: the number found, where the reason has one.
+        needed: the number that it is compared with.
+    """
+
+    reason: FitFailureReason
+    value: float = 0.0
+    needed: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """The failure as text for people."""
+        return self.reason.value.format(value=self.value, needed=self.needed)
+
+
+class FitOptions(NamedTuple):
+    """How to fit.
+
+    Attributes:
+        method: robust method.
+        threshold_px: maximum Sampson distance of an inlier: how far its two pixels together have to
+            be moved to satisfy the model.
+        confidence: probability of at least one sample without outliers.
+        seed: of the random order in which matches are drawn.
+    """
+
+    method: RobustMethod = "usac_accurate"
+    threshold_px: float = 1.5
+    confidence: float = 0.9999
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model of two images.
+
+    Attributes:
+        kind: what it is.
+        matrix: (3, 3) of length 1. Fundamental: x2^T F x1 = 0 of homogeneous pixels; essential: the
+            same of rays (x/z, y/z, 1); homography: x2 ~ H x1 of pixels.
+        inlier: (N,) the matches that it explains.
+        error_px: (N,) Sampson distance of each match, NaN where a pixel is.
+        symmetric_px: median over the inliers of the root mean square over both images of the
+            distance from the epipolar line, or from the transferred pixel.
+        method: how it was found.
+    """
+
+    kind: ModelKind
+    matrix: Floats
+    inlier: Bools
+    error_px: Floats
+    symmetric_px: float
+    method: RobustMethod
+
+
+@dataclass(frozen=True, eq=False)
+class RelativePose:
+    """Motion between two images.
+
+    Attributes:
+        second_from_first: (4, 4); the translation has length 1, as its length is unknown, or 0 if
+            the camera only turns or does not move.
+        alternative: (4, 4) another motion that explains the matches as well, as a plane allows two
+            (Faugeras and Lustman 1988); None for none.
+        in_front: inliers whose point is in front of both cameras.
+        parallax_deg: median angle between the rays of these.
+    """
+
+    second_from_first: Floats
+    alternative: Floats | None
+    in_front: int
+    parallax_deg: float
+
+    @property
+    def has_translation(self) -> bool:
+        """Whether the cameras are at different places."""
+        return bool(self.second_from_first[:3, 3].any())

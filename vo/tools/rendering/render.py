@@ -1,0 +1,237 @@
+"""A video of a recording with a model in it, drawn with the poses of a run."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.base.errors import ConfigError, OutputError, SourceError
+from vo.base.geometry.transforms import inverse, make_transform, rotation_from_quat_xyzw
+from vo.base.types import Bytes, Camera, Floats, Mode
+from vo.outputs.report.run_folder import RunRecord, read_run
+from vo.recordings.formats.mesh import Mesh, read_mesh
+from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.source import Recording
+from vo.tools.rendering.placement import Placement, axes, placed
+from vo.tools.rendering.rasterizer import draw, shading
+
+PICTURES = (".png", ".jpg", ".jpeg")
+_VIDEOS = (".mp4", ".avi", ".mkv", ".mov")
+_DISTANCE_RATIO = 0.25  # of the path, from the first camera to the model by default
+_SIZE_RATIO = 0.2  # of the distance, of a model without a size
+_BELOW_RATIO = 0.15  # of the distance, of the foot below the axis of the camera
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Where the model stands, and which frames are drawn.
+
+    Attributes:
+        at: position of its foot in the world of the run, None for a place in front of a camera.
+        in_front: number of the frame, and distance; None for the first frame and a quarter of the
+            length of the path.
+        size: largest extent, None for that of a fifth of the distance.
+        up: axis of the model that points up: `y`, `z` or `-y`.
+        frame: the only frame to draw, None for all.
+    """
+
+    at: tuple[float, float, float] | None = None
+    in_front: tuple[int, float] | None = None
+    size: float | None = None
+    up: str = "y"
+    frame: int | None = None
+
+
+class Rendered(NamedTuple):
+    """What was drawn.
+
+    Attributes:
+        output: the file.
+        frames: number of its images.
+        with_model: those in which the model is in view.
+        at: position of its foot in the world.
+        unit: of lengths.
+    """
+
+    output: Path
+    frames: int
+    with_model: int
+    at: tuple[float, float, float]
+    unit: str
+
+
+class _Pose(NamedTuple):
+    segment: int
+    world_from_cam0: Floats
+
+
+def render(
+    run: str | Path,
+    output: str | Path,
+    model: str | Path | None = None,
+    options: RenderOptions = RenderOptions(),
+) -> Rendered:
+    """Draw a model into the images of a run's recording.
+
+    Args:
+        run: folder of the run; its recording must be where it was.
+        output: video (.mp4), or picture (.png, .jpg) of one frame.
+        model: mesh as .ply or .obj, None for axes.
+        options: where it stands.
+
+    Raises:
+        SourceError: the run, its recording or the model is missing or damaged.
+        ConfigError: a position or frame cannot be.
+        OutputError: the output cannot be written.
+    """
+    folder, target = Path(run), Path(output)
+    is_picture = target.suffix.lower() in PICTURES
+    if not is_picture and target.suffix.lower() not in _VIDEOS:
+        raise ConfigError(f"{target} is neither a video (.mp4) nor a picture (.png, .jpg)")
+    mesh = axes() if model is None else read_mesh(Path(model))
+    record = read_run(folder)
+    poses = _poses(folder / "poses.csv")
+    stream = _recording(record)
+    placement, segment = _placement(poses, options)
+    frames = sorted(poses) if options.frame is None else [options.frame]
+    if options.frame is not None and options.frame not in poses:
+        raise ConfigError(f"frame {options.frame} has no pose in {folder}; choose another --frame")
+    if is_picture:
+        frames = frames[:1]
+    painter = _Painter(mesh, placement, segment, stream.rig.cam0)
+    images = painter.images(stream, frames, poses)
+    count = _write_picture(target, images) if is_picture else _write_video(target, images, stream)
+    x, y, z = (float(value) for value in placement.foot)
+    return Rendered(target, count, painter.with_model, (x, y, z), record.unit)
+
+
+def _poses(path: Path) -> dict[int, _Pose]:
+    """Segment and pose of each frame."""
+    try:
+        rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
+        found = {
+            int(row["frame"]): _Pose(
+                int(row["segment"]),
+                make_transform(
+                    rotation_from_quat_xyzw(np.array([float(row[f"q{a}"]) for a in "xyzw"])),
+                    np.array([float(row[f"t{a}"]) for a in "xyz"]),
+                ),
+            )
+            for row in rows
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
+    if not found:
+        raise SourceError(f"{path} has no pose; the run has no path")
+    return found
+
+
+def _recording(record: RunRecord) -> Recording:
+    summary = record.summary
+    mode: Mode = "mono" if summary["mode"] == "mono" else "auto"
+    return open_source(
+        Path(str(summary["source"])),
+        format=str(summary["format"]),
+        calibration=summary.get("calibration"),
+        mode=mode,
+        topics=summary.get("topics", ()),
+        right_offset_ns=summary.get("right_offset_ns"),
+    )
+
+
+def _placement(poses: dict[int, _Pose], options: RenderOptions) -> tuple[Placement, int]:
+    """Where the model stands, and the segment whose world that is."""
+    first = min(poses)
+    frame, distance = options.in_front or (first, _DISTANCE_RATIO * _path_length(poses, first))
+    if frame not in poses:
+        raise ConfigError(f"frame {frame} has no pose; give another one by --in-front")
+    if not 0.0 < distance < np.inf:
+        raise ConfigError(f"a model {distance:g} in front of the camera cannot be seen; give --at")
+    if options.size is not None and not 0.0 < options.size < np.inf:
+        raise ConfigError(f"--size is {options.size:g}; give a length above 0")
+    segment, world_from_cam = poses[frame]
+    foot = world_from_cam[:3, :3] @ (0.0, _BELOW_RATIO * distance, distance) + world_from_cam[:3, 3]
+    if options.at is not None:
+        foot = np.array(options.at)
+        distance = float(np.linalg.norm(foot - world_from_cam[:3, 3])) or distance
+    size = _SIZE_RATIO * distance if options.size is None else options.size
+    return Placement(foot, size, options.up), segment
+
+
+def _path_length(poses: dict[int, _Pose], first: int) -> float:
+    """Length of the path of the first frame's segment."""
+    segment = poses[first].segment
+    chosen = [poses[n].world_from_cam0[:3, 3] for n in sorted(poses) if poses[n].segment == segment]
+    return float(np.linalg.norm(np.diff(chosen, axis=0), axis=1).sum()) if len(chosen) > 1 else 0.0
+
+
+class _Painter:
+    """Draws a model into images; those of other segments stay as they are."""
+
+    def __init__(self, mesh: Mesh, placement: Placement, segment: int, camera: Camera) -> None:
+        self.with_model = 0
+        self._mesh, self._segment, self._camera = mesh, segment, camera
+        self._vertices = placed(mesh, placement)
+        self._shade = shading(self._vertices, mesh.triangles)
+
+    def images(
+        self, stream: Recording, frames: Sequence[int], poses: dict[int, _Pose]
+    ) -> Iterator[Bytes]:
+        """Images of frames with a pose, with the model."""
+        step = min(np.diff(frames).tolist(), default=1)
+        for frame in stream.frames(frames[0], frames[-1] + 1, step, images="colour"):
+            if frame.index not in poses:
+                continue
+            image = frame.image0
+            if image.ndim == 2:
+                image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+            yield self._painted(image, poses[frame.index])
+
+    def _painted(self, image: Bytes, pose: _Pose) -> Bytes:
+        if pose.segment != self._segment:
+            return image
+        cam_from_world = inverse(pose.world_from_cam0)
+        in_cam = self._vertices @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
+        mesh = self._mesh
+        result = draw(image, self._camera, in_cam, mesh.triangles, mesh.rgb, self._shade)
+        self.with_model += result is not image and not np.array_equal(result, image)
+        return result
+
+
+def _write_picture(path: Path, images: Iterator[Bytes]) -> int:
+    image = next(images, None)
+    if image is None:
+        raise SourceError("the image of the frame cannot be read; choose another --frame")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), image):
+        raise OutputError(f"{path} cannot be written; choose another --output")
+    return 1
+
+
+def _write_video(path: Path, images: Iterator[Bytes], stream: Recording) -> int:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    steps = np.diff(stream.stamps_ns)
+    rate = 1e9 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 10.0
+    writer: cv2.VideoWriter | None = None
+    count = 0
+    for image in images:
+        height, width = image.shape[:2]
+        if writer is None:
+            codec = cv2.VideoWriter.fourcc(*("mp4v" if path.suffix != ".avi" else "MJPG"))
+            writer = cv2.VideoWriter(
+                str(path), codec, float(np.clip(rate, 1, 240)), (width, height)
+            )
+            if not writer.isOpened():
+                raise OutputError(f"{path} cannot be written; choose another --output")
+        writer.write(image)
+        count += 1
+    if writer is None:
+        raise SourceError("no image of the recording can be read")
+    writer.release()
+    return count
