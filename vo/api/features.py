@@ -1,7 +1,4 @@
-"""The feature laboratory: detectors, descriptors and matchers by name, for `vo run` and alone.
-
-`create` is the public interface; all other names here are private.
-"""
+"""Features by name (`vo.features`); `create` is the public interface."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Cameras, rigid motion and multi-view geometry on plain arrays."""
+"""What is estimated from points in several images, on plain arrays."""
