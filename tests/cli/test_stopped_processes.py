@@ -15,7 +15,8 @@ from kills_checks import check, colmap_images, mcap_poses, ply_points, processes
 VO = Path(sys.executable).with_name("vo")
 # A run whose progress waits after a frame, so that the test can stop it there.
 WAITING = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup it would be ignored
 from pathlib import Path
 from vo.cli.entry import main
 from vo.cli.progress import LineProgress
