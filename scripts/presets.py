@@ -47,7 +47,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "keyframes.min_parallax_deg": 1.5,
         "mapping.new_per_keyframe": 1200,
         "smoothing.window": 8,
-        "smoothing.fixed": 8,
+        "smoothing.fixed": 16,
         "smoothing.max_landmarks": 1600,
     },
 }
