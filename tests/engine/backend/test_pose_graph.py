@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import Laps, believed, cut, laps, with_loops, with_wrong_motion
+from graphs import LOOP_SIGMA, Laps, believed, cut, laps, with_loops, with_wrong_motion
 
 from vo.base.types import Floats
 from vo.engine.backend.graph_problem import GraphProblem
@@ -57,6 +57,29 @@ def test_exactly_the_true_loops_are_kept(false_ratio: float, groups: int) -> Non
         case = laps(seed, false_ratio=false_ratio, groups=groups)
         kept = believed(optimise_graph(case.problem), case.problem)
         np.testing.assert_array_equal(kept, case.is_true)
+
+
+@pytest.mark.parametrize(("sigmas", "moves"), [(3.0, False), (4.5, True)])
+def test_weak_evidence_does_not_move_a_metric_path(sigmas: float, moves: bool) -> None:
+    """Thirty loops that are off by so many of their standard deviations; odometry is exact."""
+    problem = laps(0, noise=1e-6).problem
+    off = np.zeros(7)
+    off[5] = sigmas * LOOP_SIGMA[5]
+    loops = tuple(
+        replace(
+            loop,
+            earlier_from_later=loop.earlier_from_later @ sim3.retract(off),
+            covariance=np.diag(np.r_[LOOP_SIGMA, 1e-6] ** 2),
+        )
+        for loop in problem.loops
+    )
+    placed = optimise_graph(with_loops(problem, loops))
+    assert believed(placed, with_loops(problem, loops)).all()
+    moved = np.abs(placed.world_from_cam - problem.odom_from_cam).max()
+    if moves:
+        assert moved > 0.01
+    else:
+        assert moved == 0.0
 
 
 def test_false_loops_alone_change_nothing() -> None:
