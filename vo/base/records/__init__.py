@@ -1,1 +1,1 @@
-"""What wings tell each other about a run."""
+"""Records about a run that several wings exchange."""
