@@ -74,7 +74,7 @@ class MapCreator:
         is_fresh = not self._monocular.waiting
         keyframe = self._create(self._monocular, frame, pose, segment)
         if isinstance(keyframe, Failure) and self._rescue.may_avert(keyframe) and is_fresh:
-            if not (self._map.rig.is_stereo or before is None or self._second.has_reference):
+            if not (self._map.rig.is_metric or before is None or self._second.has_reference):
                 self._second.attempt(before.of_kind(is_second=True))
             again = self._create(self._second, frame.of_kind(is_second=True), pose, segment)
             keyframe = keyframe if isinstance(again, Failure) else again
@@ -93,7 +93,7 @@ class MapCreator:
 
         The frames between these two had no map yet; they are tracked now, for the smoothed path.
         """
-        if self._map.rig.is_stereo:
+        if self._map.rig.is_metric:
             return self._stereo.create_map(frame, pose, segment)
         pair = initializer.attempt(frame)
         if isinstance(pair, Failure):

@@ -78,7 +78,7 @@ class MapUpdater:
         Returns:
             False if this is impossible, since the scale of the segment would be lost.
         """
-        is_metric = self._map.rig.is_stereo or frame.depth is not None
+        is_metric = self._map.rig.is_metric or frame.depth is not None
         if not is_metric and self._trajectory.store.has_frame(segment, frame.index):
             return False
         self.apply()

@@ -227,7 +227,7 @@ class Odometry:
         """Add a keyframe and landmarks, and optimise the newest keyframes."""
         frame.start_features()
         keyframe = self._mapper.add_keyframe(frame, tracked, self._segment)
-        if self._map.rig.is_stereo:  # the window is optimised while the map grows
+        if self._map.rig.is_metric:  # the window is optimised while the map grows
             self._updater.add_keyframe(keyframe)
             self._mapper.extend(keyframe, frame)
         else:  # new landmarks of a single camera must be optimised before they are used

@@ -224,7 +224,7 @@ def _motion(
     """The built-in motion model; two cameras with a global shutter need no gyroscope."""
     if sensor is None or predictor is None:
         return ConstantVelocity()
-    if rig.is_stereo and rig.readout_s == 0.0:
+    if rig.is_metric and rig.readout_s == 0.0:
         return InertialMotion(ConstantVelocity(), predictor)
     from vo.engine.tracking.gyro_motion import GyroMotion
 
@@ -238,9 +238,9 @@ def _local_map(
     stores: Sequence[KeyframeStore],
     config: Config,
 ) -> LocalMap:
-    size = config.smoothing.size(is_metric=rectified.is_stereo)
+    size = config.smoothing.size(is_metric=rectified.is_metric)
     capacity = size.free + size.fixed
-    newest = capacity if rectified.is_stereo else size.free + min(size.fixed, _SETTLING)
+    newest = capacity if rectified.is_metric else size.free + min(size.fixed, _SETTLING)
     sigma_px = config.stereo.sigma_disparity_px
     return LocalMap(rectified, capacity, descriptors, stores, sigma_px, newest)
 

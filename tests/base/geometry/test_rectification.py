@@ -60,7 +60,7 @@ def test_a_rectified_pair_is_not_changed() -> None:
     assert (rectified.fx, rectified.fy, rectified.cx, rectified.cy) == (420.0, 415.0, 318.0, 203.0)
     assert (rectified.width, rectified.height) == (WIDTH, HEIGHT)
     assert rectified.baseline_m == 0.12
-    assert rectified.is_stereo
+    assert rectified.is_metric
     np.testing.assert_array_equal(rectified.cam0_from_rectified, np.eye(4))
     image = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH), dtype=np.uint8)
     for side in (0, 1):
@@ -141,7 +141,7 @@ NARROW, WIDE = PAIRS[1:4], PAIRS[4:]
 
 def test_a_single_camera_without_distortion_is_not_changed() -> None:
     rectified = rectified_rig(Rig(PLAIN))
-    assert not rectified.is_stereo and rectified.baseline_m == 0.0
+    assert not rectified.is_metric and rectified.baseline_m == 0.0
     xy = np.random.default_rng(0).uniform((0, 0), (WIDTH, HEIGHT), (50, 2))
     np.testing.assert_array_equal(rectified.undistort(xy), xy)
 
@@ -177,7 +177,7 @@ def test_a_single_wide_camera_is_rectified(
 ) -> None:
     camera = replace(PLAIN, distortion_model=model, distortion=coefficients)
     rectified = rectified_rig(Rig(camera))
-    assert not rectified.is_stereo
+    assert not rectified.is_metric
     np.testing.assert_array_equal(rectified.cam0_from_rectified, np.eye(4))
     points, xy = _points(rectified, 2.0)
     image = rectified.rectify(_dots(cameras.project(camera, points)), 0)

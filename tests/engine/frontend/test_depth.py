@@ -39,7 +39,7 @@ def test_knows_nothing_at_holes_edges_and_outside() -> None:
 
 
 def test_only_a_rig_with_depth_has_the_virtual_baseline() -> None:
-    assert RIG.is_stereo
-    assert not rectified_rig(Rig(CAMERA)).is_stereo
+    assert RIG.is_metric
+    assert not rectified_rig(Rig(CAMERA)).is_metric
     assert not Rig(CAMERA, has_depth=True).is_stereo
     assert Rig(CAMERA, has_depth=True).is_metric

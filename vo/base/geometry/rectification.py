@@ -81,7 +81,7 @@ class RectifiedRig:
         return Intrinsics(self.fx, self.fy, self.cx, self.cy)
 
     @property
-    def is_stereo(self) -> bool:
+    def is_metric(self) -> bool:
         """Whether there is a right camera, or depth in its place."""
         return self.baseline_m > 0.0
 

@@ -99,8 +99,8 @@ class SlidingWindow:
         self._sigma_disparity_px = sigma_disparity_px
         self._config = config
         self._factor_sources = factor_sources
-        self._size = config.size(is_metric=local_map.rig.is_stereo)
-        self._latency = _LATENCY_STEREO if local_map.rig.is_stereo else _LATENCY_MONO
+        self._size = config.size(is_metric=local_map.rig.is_metric)
+        self._latency = _LATENCY_STEREO if local_map.rig.is_metric else _LATENCY_MONO
         self._pending: Window | None = None
         self._frames_since = 0  # the last submission
 

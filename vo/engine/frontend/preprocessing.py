@@ -210,7 +210,7 @@ class FramePreprocessor:
         self._interlacing.update(frame.image0)
         self._blur.update(frame.image0)
         faults = self._size_faults + self._interlacing.faults + self._blur.faults
-        if self._rig.is_stereo and self._repetition.is_right_frozen:
+        if self._rig.is_metric and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
             faults = (
                 *faults,
@@ -226,7 +226,7 @@ class FramePreprocessor:
             self._vertical_disparity.restart()
             self._time_offset = TimeOffsetEstimator(self._rig)
         again = tuple(self._without_fixed(each, fixed) for each in misled)
-        if self._rig.is_stereo:
+        if self._rig.is_metric:
             self._time_offset.next_image(frame.stamp_ns, image0)
         mask = _joined(used, fixed.mask)
         preprocessed = self._preprocessed(recorded, image0, pyramid, fixed, mask, self._pair_check)
@@ -280,7 +280,7 @@ class FramePreprocessor:
     ) -> tuple[tuple[Bytes | None, ...], tuple[LazyFuture[Keypoints] | None, ...]]:
         rig, correction = self._rig, self._vertical_disparity
         left = LazyFuture(lambda: self._extract_left(image0, mask), self._pool_of_left())
-        if not rig.is_stereo or frame.image1 is None:
+        if not rig.is_metric or frame.image1 is None:
             return (image0,), (left,)
         image1 = correction.aligned_rig().rectify(frame.image1, 1)
         right = self._extract_right(image1)
@@ -319,12 +319,12 @@ class FramePreprocessor:
         """The thread for features of camera 0; with a single camera the second, idle one."""
         if not self._pools:
             return None
-        return self._pools[0 if self._rig.is_stereo else 1]
+        return self._pools[0 if self._rig.is_metric else 1]
 
     def _extract_left(self, image: Bytes, mask: Bytes | None) -> Keypoints:
         # With a single camera nothing in the first thread waits for features, so that extraction,
         # in the second, may wait for the first.
-        helper = self._pools[0] if self._pools and not self._rig.is_stereo else None
+        helper = self._pools[0] if self._pools and not self._rig.is_metric else None
         return self._inside_lens(self._extractor.extract(image, mask, helper))
 
     def _inside_lens(self, keypoints: Keypoints) -> Keypoints:

@@ -68,7 +68,7 @@ class InertialAlignment:
         self.stopwatch = stopwatch
         self._sensor = sensor
         self._trajectory = trajectory
-        self._is_metric = rig.is_stereo
+        self._is_metric = rig.is_metric
         assert sensor.cam0_from_imu is not None
         self._predictor = predictor
         self._imu_from_cam0 = inverse(sensor.cam0_from_imu)

@@ -286,7 +286,7 @@ class LocalMap:
         measured = keyframe.disparity
         if before is not None:  # taken back, to first order
             measured = 2.0 * measured - disparity_at_middle_row(self.rig, xy, measured, before)
-        if self.rig.is_stereo:
+        if self.rig.is_metric:
             keyframe.disparity = disparity_at_middle_row(self.rig, xy, measured, velocity)
         keyframe.velocity = velocity
         keyframe.undistort(self.rig, self.inverse_depth(keyframe))

@@ -65,16 +65,16 @@ def make_memory(
         from vo.engine.memory.loaded_map import load_map
 
         try:
-            loaded = load_map(Path(file), database, is_metric=rig.is_stereo)
+            loaded = load_map(Path(file), database, is_metric=rig.is_metric)
         except BaseException:
             database.close()
             raise
         graph.add_map(loaded.placed, loaded.is_metric)
         session = len(loaded.sessions)
     localizes = config.memory.localize
-    adjusts = config.memory.adjust and not rig.is_stereo and inertial is None
+    adjusts = config.memory.adjust and not rig.is_metric and inertial is None
     describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
-    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_stereo, describer=describer)
+    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_metric, describer=describer)
     judges = partial(_judges, vocabulary, config)
     recogniser = Recogniser(database, judges, camera, threads, loaded, localizes=localizes)
     graph.unconfirmed = recogniser.unconfirmed

@@ -57,7 +57,7 @@ class CalibrationRefiner:
     def __init__(self, rig: RectifiedRig, config: RefinementConfig, *, has_depth: bool) -> None:
         self._rig = rig
         self._estimator = _estimator(rig)
-        if rig.is_stereo:
+        if rig.is_metric:
             self._is_enabled = config.disparity_correction and not has_depth
         else:
             self._is_enabled = config.lens_correction
@@ -118,4 +118,4 @@ class CalibrationRefiner:
 
 
 def _estimator(rig: RectifiedRig) -> DisparityBiasEstimator | RadialDistortionEstimator:
-    return DisparityBiasEstimator(rig) if rig.is_stereo else RadialDistortionEstimator(rig)
+    return DisparityBiasEstimator(rig) if rig.is_metric else RadialDistortionEstimator(rig)

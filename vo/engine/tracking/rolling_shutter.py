@@ -92,7 +92,7 @@ class RollingShutter:
         depth = self._map.xyz[observed.rows] @ row[:3] + row[3]
         near = np.where(depth > 0.0, 1.0 / np.where(depth > 0.0, depth, 1.0), 0.0)
         xy = at_middle_row(rig, observed.image_xy, near, velocity)
-        if not rig.is_stereo:
+        if not rig.is_metric:
             return replace(observed, xy=xy)
         at = observed.image_xy
         disparity = disparity_at_middle_row(rig, at, observed.disparity, velocity)

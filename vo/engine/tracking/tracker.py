@@ -90,7 +90,7 @@ class Tracker:
         aligner = KltAligner if config.method == "klt" else LandmarkAligner
         self._aligner = aligner(local_map, frontend, config.min_inliers)
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
-        self._steps = StepCheck(is_metric=local_map.rig.is_stereo)
+        self._steps = StepCheck(is_metric=local_map.rig.is_metric)
         self._agreement = MapAgreement()
         self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
 
@@ -248,7 +248,7 @@ class Tracker:
         pose = self.relocalize(frame)
         if pose is not None:
             yield _InitialPose(pose)
-        if (is_alone or not self._map.rig.is_stereo) and self.last is not None:
+        if (is_alone or not self._map.rig.is_metric) and self.last is not None:
             pose = self._essential_matrix.estimate(self.last, self._motion.last, frame)
             if pose is not None:
                 yield _InitialPose(pose)

@@ -46,7 +46,7 @@ def test_zed(tmp_path: Path, size: tuple[int, int], fx: float) -> None:
     expected[:3, :3] = cv2.Rodrigues(vector)[0]
     expected[:3, 3] = -0.119905, 0.0000458908, -0.000467919
     np.testing.assert_allclose(cam1_from_cam0(rig), expected, atol=1e-12)
-    assert rectified_rig(rig).is_stereo
+    assert rectified_rig(rig).is_metric
 
 
 def test_zed_with_translations_by_resolution(tmp_path: Path) -> None:

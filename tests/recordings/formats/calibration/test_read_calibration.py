@@ -410,7 +410,7 @@ def test_documented_examples_can_be_read(tmp_path: Path) -> None:
                 calibration = read_calibration(file, size)
                 kinds.append(title)
                 assert calibration.kind == title
-                pairs.append(rectified_rig(calibration.rig).is_stereo)
+                pairs.append(rectified_rig(calibration.rig).is_metric)
     assert (kinds[:3], pairs[:3]) == (["vo"] * 3, [False, True, True])
     assert set(kinds) == set(FORMATS)
 
