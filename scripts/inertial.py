@@ -27,7 +27,7 @@ from vo.recordings.formats.trajectory import read_trajectory
 from vo.recordings.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "inertial.md"
+PAGE = ROOT / "docs" / "experiments" / "inertial-accuracy.md"
 HEADING = (
     "| recording | path, m | known after, s | scale error, % | stated, % | ATE, m | ATE, % | "
     "tilt, ° | gyro bias, mrad/s | accelerometer bias, m/s² | CPU time |",
@@ -42,7 +42,7 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, default=ROOT / "build" / "synth", help="of renders")
     parser.add_argument("--only", default="", help="presets of the suite that contain this text")
     parser.add_argument("--set", default="scale=1", help="setting of the renders")
-    parser.add_argument("--write", action="store_true", help="write the table to docs/inertial.md")
+    parser.add_argument("--write", action="store_true", help="write the table to its page")
     arguments = parser.parse_args()
     rows = [measure(path) for path in arguments.recordings or _suite(arguments)]
     table = "\n".join((*HEADING, *rows))

@@ -26,7 +26,7 @@ from pathlib import Path
 from kills_checks import TABLES, Rest, check, processes_with
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "robustness.md"
+PAGE = ROOT / "docs" / "experiments" / "stopped-runs.md"
 WALK = ["world=room", "motion=handheld", "camera=pinhole", "seconds=6", "scale=0.5"]
 SIGNALS = {"SIGINT": 1, "SIGINT twice": 2, "SIGINT 4 times": 4, "SIGTERM": 1, "SIGKILL": 1}
 PHASES = ("while tracking", "while closing")
@@ -163,7 +163,7 @@ def _options() -> argparse.Namespace:
     add("--moments", type=int, default=8, metavar="N", help="kills of each kind and phase")
     add("--only", default="", metavar="TEXT", help="only kinds that contain this")
     add("--full-disk", action="store_true", help="also runs into small file systems")
-    add("--write", action="store_true", help="write the counts into docs/robustness.md")
+    add("--write", action="store_true", help="write the counts into docs/experiments/stopped-runs.md")
     add("--vo", type=Path, default=Path(sys.executable).with_name("vo"), help="command to test")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the recording")
     return parser.parse_args()

@@ -5,7 +5,8 @@ chosen by their words: for each keyframe those that resemble it most among the o
 another place (further apart than 6 m, or turned by more than 45 degrees), and among those that show
 the same place again (within 2 m and 30 degrees, more than 10 s apart). Counted are pairs that pass
 all steps of the verification but the last one, by whether the relation that was found is true. Maps
-are written by `vo run RECORDING --loops --save-map MAP --no-imu`. docs/memory.md has the results.
+are written by `vo run RECORDING --loops --save-map MAP --no-imu`. The results are in
+docs/experiments/loop-verification.md.
 """
 
 from __future__ import annotations

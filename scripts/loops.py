@@ -34,7 +34,7 @@ from vo.base.types import Floats
 from vo.recordings.formats.trajectory import read_trajectory
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "memory.md"
+PAGE = ROOT / "docs" / "experiments" / "loop-closure.md"
 SHARED = ROOT.parent / "shared" / "data"
 SMALL = ("scale=0.5", "motion=loop", "format=euroc")
 COURSES = {

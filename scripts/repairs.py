@@ -8,7 +8,7 @@ Graphs of the keyframes of a map file, in which one motion is doubted:
 
 The other motion is drawn within the limits of repairs (0.25 rad and 1.5 steps). Each graph is
 solved without and with the images. Maps are written by `vo run RECORDING --loops --save-map MAP
---no-imu`, also by `scripts/loops --maps DIR`. docs/memory.md has the results.
+--no-imu`, also by `scripts/loops --maps DIR`. docs/experiments/doubted-odometry.md has the results.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from robustness_table import CleanRow, Row, clean_line, document, line
 from vo.recordings.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "robustness.md"
+PAGE = ROOT / "docs" / "experiments" / "injected-faults.md"
 MODES = ("stereo", "mono")
 TUM_CALIBRATION = """\
 cam0:
@@ -152,14 +152,14 @@ def _options() -> argparse.Namespace:
     add("--no-clean", action="store_true", help="without the runs that count false alarms")
     add("--json", type=Path, metavar="FILE", help="write every figure into this file")
     add("--markdown", type=Path, metavar="FILE", nargs="?", const=PAGE, help="write the tables; "
-        "without a file into docs/robustness.md")  # fmt: skip
+        "without a file into docs/experiments/injected-faults.md")  # fmt: skip
     add("--keep", type=Path, metavar="DIR", help="keep recordings and results here")
     add("--vo", type=Path, default=Path(sys.executable).with_name("vo"), help="command to test")
     add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="real recordings")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="synthetic recordings")
     options = parser.parse_args()
     if options.markdown == PAGE and options.only:
-        parser.error("docs/robustness.md needs all situations: leave out --only")
+        parser.error("the page needs all situations: leave out --only")
     return options
 
 

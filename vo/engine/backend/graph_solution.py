@@ -26,7 +26,8 @@ _log = logging.getLogger(__name__)
 
 # Sum of the squared distances of loops from odometry, in their covariances, from which they move a
 # metric chain. Loops that were worse than odometry had 12 and 296, those that were better 833
-# (docs/memory.md): covariances of loops are too small, and errors at one place are alike.
+# (docs/experiments/loop-closure.md): covariances of loops are too small, and errors at one place
+# are alike.
 _MIN_EVIDENCE = 400.0
 
 

@@ -3,7 +3,7 @@
 The pose graph knows of the path between two loops only the covariance of its motions, which hides
 how the scale has drifted. Here all observations of the keyframes are used again, with the loops as
 measured motions. The landmarks of two visits stay apart: their relation is that of the loop. With
-two cameras the pose graph alone is as accurate (docs/memory.md).
+two cameras the pose graph alone is as accurate (docs/experiments/loop-verification.md).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from vo.engine.places.vocabulary import Vocabulary
 _DEPTH = 2  # of the nodes, of which there are 100
 _SAMPLES = 150
 # Landmarks that must agree with a relation: 99.7 % of the pairs that the verification accepts have
-# as many, and 57 % of those that it refuses have not (docs/memory.md).
+# as many, and 57 % of those that it refuses have not (docs/experiments/loop-verification.md).
 _MIN_AGREEING = 6
 
 
