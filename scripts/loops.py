@@ -125,9 +125,6 @@ def main() -> None:
     parser.add_argument("--only", default="", metavar="TEXT", help="names that contain it")
     parser.add_argument("--modes", default="stereo,mono")
     parser.add_argument("--end", type=int, metavar="N", help="stop before this frame")
-    parser.add_argument(
-        "--maps", type=Path, metavar="DIR", help="write maps for scripts/lookalikes.py"
-    )
     parser.add_argument("--write", action="store_true", help=f"write the rows to {PAGE.name}")
     arguments = parser.parse_args()
     columns = CLEAN_COLUMNS if arguments.clean else COURSE_COLUMNS
@@ -136,7 +133,7 @@ def main() -> None:
         for mode in arguments.modes.split(","):
             if "mono" in name and mode == "stereo":
                 continue
-            options = _options(arguments, name, mode)
+            options = _options(arguments, mode)
             if arguments.cost:
                 print(f"{name}, {mode}: {100 * _cost(path, options[1]):.1f} %", flush=True)
                 continue
@@ -149,16 +146,11 @@ def main() -> None:
     sys.exit(1 if false else 0)
 
 
-def _options(arguments: argparse.Namespace, name: str, mode: str) -> tuple[list[str], list[str]]:
+def _options(arguments: argparse.Namespace, mode: str) -> tuple[list[str], list[str]]:
     """Options of `vo run` without and with loops."""
     both = ["--mode", mode, "--no-imu", "-q"]
     both += [] if arguments.end is None else ["--end", str(arguments.end)]
-    loops = ["--loops"]
-    if arguments.maps is not None:
-        arguments.maps.mkdir(parents=True, exist_ok=True)
-        file = re.sub(r"\W+", "_", f"{name} {mode}")
-        loops += ["--save-map", str(arguments.maps / f"{file}.map")]
-    return [*both, "--no-loops"], [*both, *loops]
+    return [*both, "--no-loops"], [*both, "--loops"]
 
 
 def _recordings(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
