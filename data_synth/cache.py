@@ -25,11 +25,8 @@ def cached_sequence(
     so that recordings of other settings or of older code are not reused. An existing recording is
     complete, because `make_sequence` renames it into place at the end.
 
-    Args:
-        recipe: what to make.
-        folder: where recordings are kept.
-        name: first part of the recording's name.
-        on_frame: called with the frames done and their total, if it is made.
+    `folder`: where recordings are kept. `name`: first part of the recording's name. `on_frame`:
+    called with the frames done and their total, if it is made.
 
     Raises:
         ConfigError: the recipe is not feasible.

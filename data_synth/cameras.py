@@ -33,10 +33,8 @@ def camera_file(camera: str | Path) -> Path:
 def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> Rig:
     """Read the cameras of a preset or of a calibration file in any format of `vo run`.
 
-    Args:
-        camera: name of a preset, or path of a file.
-        scale: of the image size; the field of view does not change.
-        mono: without the second camera.
+    `scale`: of the image size; the field of view does not change. `mono`: without the second
+    camera.
 
     Raises:
         ConfigError: there is no such preset or file.

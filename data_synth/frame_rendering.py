@@ -64,10 +64,8 @@ def render_frames(
     cores busy while the last rows of an image are rendered. Therefore the exposure of a frame
     depends on the image two frames before.
 
-    Args:
-        plan: what to render.
-        pool: threads that share the rows of an image; their number does not change the result.
-        frames: which frames, by default all; the first one has a settled exposure.
+    `pool`: threads that share the rows of an image; their number does not change the result.
+    `frames`: which frames, by default all; the first one has a settled exposure.
     """
     frames = range(len(plan.recording)) if frames is None else frames
     if len(frames) == 0:

@@ -31,27 +31,17 @@ _OUT_OF_SIGHT_M = -1e4
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """All inputs of the renderer and the writers.
-
-    Attributes:
-        recipe: the settings.
-        scene: the world.
-        path: of the body.
-        timing: times of the frames.
-        path_s: (F,) times of the frames on the path; those of `timing`, unless the camera is
-            carried elsewhere.
-        mover_poses: (F, B, 4, 4) world_from_mover by frame.
-        mover_velocities: (F, B, 3) in the world, m/s.
-        recording: input of the writers.
-    """
+    """All inputs of the renderer and the writers."""
 
     recipe: Recipe
-    scene: Scene
+    scene: Scene  # the world
     path: PosePath
     timing: Timing
+    # (F,) times of the frames on the path; those of `timing`, unless the camera is carried
+    # elsewhere
     path_s: Floats
-    mover_poses: Floats
-    mover_velocities: Floats
+    mover_poses: Floats  # (F, B, 4, 4) world_from_mover by frame
+    mover_velocities: Floats  # (F, B, 3) in the world, m/s
     recording: Recording
 
 

@@ -147,9 +147,7 @@ def recipe_names() -> list[str]:
 def load_recipe(preset: str | Path | None = None, overrides: Sequence[str] = ()) -> Recipe:
     """Merge defaults, a preset or YAML file, and overrides.
 
-    Args:
-        preset: name of a preset, or path of a YAML file.
-        overrides: texts of the form `key=value` or `effects.key=value`; the value is YAML.
+    `overrides`: texts of the form `key=value` or `effects.key=value`; the value is YAML.
 
     Raises:
         ConfigError: unknown preset, file or key, or a value of the wrong type or range.

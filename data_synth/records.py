@@ -27,44 +27,28 @@ BODY = "body"
 
 @dataclass(frozen=True, eq=False)
 class Imu:
-    """Measurements of the inertial sensor, in its own frame.
+    """Measurements of the inertial sensor, in its own frame."""
 
-    Attributes:
-        stamps_ns: (N,).
-        gyro: (N, 3) rad/s.
-        accel: (N, 3) m/s², specific force: (0, 0, +9.81) at rest.
-        rate_hz: samples per second.
-        noise: its noise; None if unknown.
-        frame: name of that frame; `BODY`, or another one whose pose on the body is unknown.
-        recorded_pose: (4, 4) of that frame on the body as the recording has it, if that is wrong.
-    """
-
-    stamps_ns: Ints
-    gyro: Floats
-    accel: Floats
-    rate_hz: float
-    noise: ImuNoise | None
+    stamps_ns: Ints  # (N,)
+    gyro: Floats  # (N, 3) rad/s
+    accel: Floats  # (N, 3) m/s², specific force: (0, 0, +9.81) at rest
+    rate_hz: float  # samples per second
+    noise: ImuNoise | None  # its noise; None if unknown
+    # name of that frame; `BODY`, or another one whose pose on the body is unknown
     frame: str = BODY
+    # (4, 4) of that frame on the body as the recording has it, if that is wrong
     recorded_pose: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class BodyTruth:
-    """True states of the body at the rate of the inertial sensor.
+    """True states of the body at the rate of the inertial sensor."""
 
-    Attributes:
-        stamps_ns: (N,).
-        world_from_body: (N, 4, 4).
-        velocity: (N, 3) in the world, m/s.
-        gyro_bias: (N, 3) rad/s.
-        accel_bias: (N, 3) m/s².
-    """
-
-    stamps_ns: Ints
-    world_from_body: Floats
-    velocity: Floats
-    gyro_bias: Floats
-    accel_bias: Floats
+    stamps_ns: Ints  # (N,)
+    world_from_body: Floats  # (N, 4, 4)
+    velocity: Floats  # (N, 3) in the world, m/s
+    gyro_bias: Floats  # (N, 3) rad/s
+    accel_bias: Floats  # (N, 3) m/s²
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,36 +61,22 @@ class MoverTruth:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording without its images.
-
-    Attributes:
-        name: short, for titles.
-        rig: the cameras.
-        body_from_cam0: (4, 4).
-        fps: nominal frames per second.
-        stamps_ns: for each camera, (F,) the recorded stamps, with jitter.
-        dropped: for each camera, (F,) bool: missing frames.
-        cam0_truth: true poses of cam0 at the F true times of exposure; the stamps are those
-            recorded by cam0, also of dropped frames.
-        body_truth: true states of the body.
-        imu: its measurements, or None.
-        movers: true poses of moving bodies.
-        has_depth: whether shots contain the depth of cam0.
-        has_colour: whether their images are in colour.
-    """
+    """A recording without its images."""
 
     name: str
     rig: Rig
-    body_from_cam0: Floats
-    fps: float
-    stamps_ns: tuple[Ints, ...]
-    dropped: tuple[Bools, ...]
+    body_from_cam0: Floats  # (4, 4)
+    fps: float  # nominal frames per second
+    stamps_ns: tuple[Ints, ...]  # for each camera, (F,) the recorded stamps, with jitter
+    dropped: tuple[Bools, ...]  # for each camera, (F,) bool: missing frames
+    # true poses of cam0 at the F true times of exposure; the stamps are those recorded by cam0,
+    # also of dropped frames
     cam0_truth: Trajectory
     body_truth: BodyTruth
-    imu: Imu | None
-    movers: tuple[MoverTruth, ...]
-    has_depth: bool
-    has_colour: bool = False
+    imu: Imu | None  # its measurements, or None
+    movers: tuple[MoverTruth, ...]  # true poses of moving bodies
+    has_depth: bool  # whether shots contain the depth of cam0
+    has_colour: bool = False  # whether their images are in colour
 
     def __len__(self) -> int:
         return len(self.cam0_truth)
@@ -120,17 +90,11 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """The images of one frame.
+    """The images of one frame."""
 
-    Attributes:
-        index: number of the frame, 0…F-1.
-        images: for each camera; None if dropped.
-        depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
-    """
-
-    index: int
-    images: tuple[Pixels | None, ...]
-    depth: Floats32 | None = None
+    index: int  # number of the frame, 0…F-1
+    images: tuple[Pixels | None, ...]  # for each camera; None if dropped
+    depth: Floats32 | None = None  # (H, W) float32 z in cam0, metres, infinite for the sky; or None
 
 
 Write = Callable[[Path, Recording, Iterator[Shot], str], None]

@@ -31,11 +31,8 @@ def make_sequence(
     The same recipe gives the same bytes. The recording is renamed into place when it is complete,
     so that nothing is left after an interruption.
 
-    Args:
-        output: folder or, for MCAP, file to make; it must not exist, or be an empty folder.
-        recipe: the settings.
-        force: replace an existing recording.
-        on_frame: called with the number of frames done and their total.
+    `output`: folder or, for MCAP, file to make; it must not exist, or be an empty folder.
+    `on_frame`: called with the number of frames done and their total.
 
     Raises:
         ConfigError: the recipe is not feasible.

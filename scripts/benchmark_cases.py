@@ -19,30 +19,19 @@ class Peer:
 
 @dataclass(frozen=True)
 class Case:
-    """A sequence in one mode, with its targets and the results of other systems.
+    """A sequence in one mode, with its targets and the results of other systems."""
 
-    Attributes:
-        folder: name of the sequence's folder inside the data folder.
-        mode: `mono` or `stereo`.
-        images: glob patterns of the images of each camera.
-        ate: maximum ATE in metres.
-        scale: maximum error of scale in percent.
-        frames: minimum number of frames with a pose; by default all after the start-up.
-        hard: the images show too little: a loss is correct, only a wrong path is a failure.
-        ate_percent: maximum ATE in percent of the path.
-        t_rel: maximum drift in percent.
-        peers: results of other systems.
-    """
-
-    folder: str
-    mode: str
-    images: tuple[str, ...]
-    ate: float | None = None
-    scale: float | None = None
+    folder: str  # name of the sequence's folder inside the data folder
+    mode: str  # `mono` or `stereo`
+    images: tuple[str, ...]  # glob patterns of the images of each camera
+    ate: float | None = None  # maximum ATE in metres
+    scale: float | None = None  # maximum error of scale in percent
+    # minimum number of frames with a pose; by default all after the start-up
     frames: int | None = None
+    # the images show too little: a loss is correct, only a wrong path is a failure
     hard: bool = False
     ate_percent: float | None = None
-    t_rel: float | None = None
+    t_rel: float | None = None  # maximum drift in percent
     peers: tuple[Peer, ...] = ()
 
     @property

@@ -30,12 +30,8 @@ def measure_case(
 ) -> Result:
     """The run of median wall time on one sequence.
 
-    Args:
-        case: the sequence and its mode.
-        folder: its recording.
-        options: those of the command line, with `calibration` for TUM's sequence.
-        work: a scratch folder.
-        say: prints a message of progress.
+    `options`: those of the command line, with `calibration` for TUM's sequence. `say`: prints a
+    message of progress.
     """
     say(f"{case.name}: ", end="")
     scratch = work / "out"

@@ -17,11 +17,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
 def with_absolute_links(markdown: str, page: str, docs: Path, repository: str) -> str:
     """Replace links that leave the folder of the docs by links to the repository.
 
-    Args:
-        markdown: text of the page.
-        page: its path in the folder of the docs.
-        docs: that folder.
-        repository: address of the repository, without a slash at the end.
+    `repository`: address of the repository, without a slash at the end.
     """
     root = docs.resolve().parent
 

@@ -42,13 +42,7 @@ _NOISE_SIGMA, _NOISES = 1.5, 7
 class RepeatedLaps:
     """A stream of the frames of a recording, one round after the other.
 
-    Attributes:
-        truth: true poses of all frames.
-
-    Args:
-        recording: folder with the laps.
-        frames: how many.
-        mode: with `mono`, only the left images are used.
+    `mode`: with `mono`, only the left images are used.
     """
 
     def __init__(self, recording: Path, frames: int, mode: str) -> None:

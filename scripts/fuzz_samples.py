@@ -34,21 +34,13 @@ _CALIBRATIONS = {
 
 
 class Sample(NamedTuple):
-    """A kind of input.
-
-    Attributes:
-        kind: its name.
-        reader: how it is read, a key of `fuzz_readers.READERS`.
-        folder: folder with the sample.
-        path: what is read, relative to the folder.
-        suffixes: files that are damaged; all if empty.
-    """
+    """A kind of input."""
 
     kind: str
-    reader: str
+    reader: str  # how it is read, a key of `fuzz_readers.READERS`
     folder: Path
-    path: str
-    suffixes: tuple[str, ...] = ()
+    path: str  # what is read, relative to the folder
+    suffixes: tuple[str, ...] = ()  # files that are damaged; all if empty
 
 
 def make_samples(root: Path) -> list[Sample]:

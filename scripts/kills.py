@@ -163,7 +163,11 @@ def _options() -> argparse.Namespace:
     add("--moments", type=int, default=8, metavar="N", help="kills of each kind and phase")
     add("--only", default="", metavar="TEXT", help="only kinds that contain this")
     add("--full-disk", action="store_true", help="also runs into small file systems")
-    add("--write", action="store_true", help="write the counts into docs/experiments/stopped-runs.md")
+    add(
+        "--write",
+        action="store_true",
+        help="write the counts into docs/experiments/stopped-runs.md",
+    )
     add("--vo", type=Path, default=Path(sys.executable).with_name("vo"), help="command to test")
     add("--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the recording")
     return parser.parse_args()

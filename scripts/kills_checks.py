@@ -17,13 +17,7 @@ _EXPORTS_FROM = 3  # keyframes from which an export has points
 
 @dataclass
 class Rest:
-    """What a stopped run has left.
-
-    Attributes:
-        status: in its summary.
-        frames: lines of frames.csv.
-        problems: what is wrong, in words.
-    """
+    """What a stopped run has left."""
 
     status: str = ""
     frames: int = 0
@@ -33,10 +27,8 @@ class Rest:
 def check(folder: Path, was_killed: bool, frames_per_s: float) -> Rest:
     """Read everything that a run with all exports has left in a folder.
 
-    Args:
-        folder: with `out/`, `run.rrd`, `run.mcap`, `map.ply` and `model/`.
-        was_killed: whether the signal could not be handled.
-        frames_per_s: speed of the run, to convert a second to frames.
+    `folder`: with `out/`, `run.rrd`, `run.mcap`, `map.ply` and `model/`. `was_killed`: whether the
+    signal could not be handled. `frames_per_s`: speed of the run, to convert a second to frames.
     """
     rest = Rest()
     problems = rest.problems

@@ -86,15 +86,9 @@ def rtp_packets(scan: Scan, number: Iterator[int], time_90khz: int) -> Iterator[
 class LiveServer:
     """Serves images in a loop; each connection begins with the first of them.
 
-    Attributes:
-        url: address of the stream.
-        sent: images sent so far, over all connections.
-
-    Args:
-        scheme: `rtsp` or `http`.
-        images: (H, W) or (H, W, 3) uint8, H and W multiples of 16.
-        rate_hz: images per second.
-        end: number of images after which a connection is closed; None for no end.
+    `sent`: images sent so far, over all connections. `scheme`: `rtsp` or `http`. `images`: (H, W)
+    or (H, W, 3) uint8, H and W multiples of 16. `rate_hz`: images per second. `end`: number of
+    images after which a connection is closed; None for no end.
     """
 
     def __init__(

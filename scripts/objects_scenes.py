@@ -35,39 +35,23 @@ _GROUNDS = (textures.planks, textures.plaster, textures.fabric, textures.bricks,
 
 
 class TrueObject(NamedTuple):
-    """A flat object.
-
-    Attributes:
-        name: of it.
-        texture: (H, W) in 0 to 1, of twice the resolution of the stored image.
-        image: (h, w) uint8, the stored image.
-        width_m: its width.
-    """
+    """A flat object."""
 
     name: str
-    texture: Floats32
-    image: Bytes
+    texture: Floats32  # (H, W) in 0 to 1, of twice the resolution of the stored image
+    image: Bytes  # (h, w) uint8, the stored image
     width_m: float = _WIDTH_M
 
 
 class TrueInstance(NamedTuple):
-    """An object in a scene.
-
-    Attributes:
-        name: of the object.
-        outline: (4, 2) pixels of its corners, from the upper left one, clockwise.
-        cam_from_object: (4, 4) metres; the object's frame is at its upper left corner.
-        visible: ratio of its area that is inside the image and not covered.
-        scale: size in the scene relative to the stored image.
-        tilt_deg: angle between its normal and the optical axis.
-    """
+    """An object in a scene."""
 
     name: str
-    outline: Floats
-    cam_from_object: Floats
-    visible: float
-    scale: float
-    tilt_deg: float
+    outline: Floats  # (4, 2) pixels of its corners, from the upper left one, clockwise
+    cam_from_object: Floats  # (4, 4) metres; the object's frame is at its upper left corner
+    visible: float  # ratio of its area that is inside the image and not covered
+    scale: float  # size in the scene relative to the stored image
+    tilt_deg: float  # angle between its normal and the optical axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,22 +64,13 @@ class Scene:
 
 
 class SceneOptions(NamedTuple):
-    """How scenes are made.
-
-    Attributes:
-        count: objects in a scene.
-        cover: minimum and maximum ratio that is covered.
-        scale: minimum and maximum size relative to the stored image.
-        tilt_deg: maximum angle out of the plane.
-        light: one of `LIGHTS`.
-        clutter: other things in the scene.
-    """
+    """How scenes are made."""
 
     count: int = 2
-    cover: tuple[float, float] = (0.0, 0.0)
-    scale: tuple[float, float] = (0.3, 3.0)
-    tilt_deg: float = 45.0
-    light: str = "plain"
+    cover: tuple[float, float] = (0.0, 0.0)  # minimum and maximum ratio that is covered
+    scale: tuple[float, float] = (0.3, 3.0)  # minimum and maximum size relative to the stored image
+    tilt_deg: float = 45.0  # maximum angle out of the plane
+    light: str = "plain"  # one of `LIGHTS`
     clutter: int = 14
 
 
@@ -116,13 +91,7 @@ def make_objects(count: int, seed: int = 1) -> list[TrueObject]:
 
 
 def make_scene(objects: list[TrueObject], seed: int, options: SceneOptions) -> Scene:
-    """A scene of some objects, which do not hide each other, among things that are in no database.
-
-    Args:
-        objects: those to choose from.
-        seed: of the scene.
-        options: how it is made.
-    """
+    """A scene of some objects that do not hide each other, among things that are in no database."""
     rng = np.random.default_rng((7, seed))
     canvas = _ground(rng)
     for _ in range(options.clutter):

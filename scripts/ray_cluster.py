@@ -28,17 +28,11 @@ _START_S = 60.0
 
 @dataclass(frozen=True)
 class Cluster:
-    """Nodes of a cluster, of which the first is the head.
+    """Nodes of a cluster, of which the first is the head."""
 
-    Attributes:
-        address: for `ray.init` and RAY_ADDRESS.
-        nodes: processes of `ray start --block`.
-        environment: variables for programs that use it: address and token.
-    """
-
-    address: str
-    environment: dict[str, str]
-    nodes: tuple[subprocess.Popen[bytes], ...]
+    address: str  # for `ray.init` and RAY_ADDRESS
+    environment: dict[str, str]  # variables for programs that use it: address and token
+    nodes: tuple[subprocess.Popen[bytes], ...]  # processes of `ray start --block`
 
     def kill(self, number: int) -> None:
         """End a node at once, as if its machine had lost its power."""

@@ -25,24 +25,15 @@ PERCENT = (10, 20, 30, 40, 60)
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table.
+    """One row of the table."""
 
-    Attributes:
-        situation: what is wrong with the recording.
-        variant: how much of it.
-        clip: the clean recording and the mode, `hall stereo`.
-        fault: makes the faulty recording of the clean one.
-        write: writes it, and gives the path to run on.
-        is_quick: whether the row belongs to the quick selection.
-        is_visible: whether the fault shows in the images at all; if not, no program can detect it.
-    """
-
-    situation: str
+    situation: str  # what is wrong with the recording
     variant: str
-    clip: str
-    fault: Fault
-    write: Write = write_euroc
-    is_quick: bool = False
+    clip: str  # the clean recording and the mode, `hall stereo`
+    fault: Fault  # makes the faulty recording of the clean one
+    write: Write = write_euroc  # writes it, and gives the path to run on
+    is_quick: bool = False  # whether the row belongs to the quick selection
+    # whether the fault shows in the images at all; if not, no program can detect it
     is_visible: bool = True
 
     @property

@@ -25,22 +25,16 @@ ROOM = {"world": "room", "motion": "handheld", "camera": "pinhole", "seconds": 6
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A recording in memory.
-
-    Attributes:
-        name: name of the clean recording.
-        images: for each camera the images of all frames, None where one is missing.
-        stamps_ns: for each camera (N,) times that are written; of a missing image too.
-        rig: the calibration that is written.
-        truth: (N, 4, 4) true world_from_cam0 of each frame, NaN where it is not known.
-        depth: true depth images (H, W) of cam0 in metres, where the recording has them.
-    """
+    """A recording in memory."""
 
     name: str
+    # for each camera the images of all frames, None where one is missing
     images: tuple[list[Image | None], ...]
+    # for each camera (N,) times that are written; of a missing image too
     stamps_ns: tuple[Ints, ...]
-    rig: Rig
-    truth: Floats
+    rig: Rig  # the calibration that is written
+    truth: Floats  # (N, 4, 4) true world_from_cam0 of each frame, NaN where it is not known
+    # true depth images (H, W) of cam0 in metres, where the recording has them
     depth: tuple[Floats, ...] = ()
 
     def __len__(self) -> int:

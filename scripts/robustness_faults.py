@@ -140,12 +140,8 @@ def miscalibrated(
 ) -> Fault:
     """A calibration of the right camera that is off.
 
-    Args:
-        pitch: error of the angle about x in degrees.
-        yaw: the same about y.
-        roll: the same about z.
-        baseline: factor of its length.
-        down: error of the direction of the baseline in degrees.
+    `pitch`: error of the angle about x in degrees. `yaw`: the same about y. `roll`: the same about
+    z. `baseline`: factor of its length. `down`: error of the direction of the baseline in degrees.
     """
 
     def fault(clip: Clip) -> Clip:

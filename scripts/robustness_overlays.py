@@ -97,11 +97,8 @@ def projected_dots(count: int, brightness: float = 160.0, every: int = 1) -> Fau
 def train(share: float, px_per_frame: float = 45.0, first: int = 5, depth_m: float = 12.0) -> Fault:
     """A train that fills `share` of the image height, passing at a constant depth.
 
-    Args:
-        share: of the image height.
-        px_per_frame: its motion in the image, to the left.
-        first: the frame in which it comes in from the right.
-        depth_m: its depth.
+    `px_per_frame`: its motion in the image, to the left. `first`: the frame in which it comes in
+    from the right.
     """
 
     def fault(clip: Clip) -> Clip:

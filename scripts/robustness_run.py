@@ -21,28 +21,19 @@ MAX_ATE_RATIO = 3.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run made of a recording.
+    """What a run made of a recording."""
 
-    Attributes:
-        ate_m: root mean square of the position errors, None without a path. Each segment is
-            aligned by itself; with scale in mono.
-        tracked: frames with a pose, as a ratio.
-        longest_step_m: longest distance between neighbouring frames.
-        verdict: the run's own.
-        is_trusted: whether the run says that its path can be trusted.
-        faults: kinds of faults that it reported; `!` after those that it could not handle.
-        warning: the first warning, or the error that refused the recording.
-        error: whether the command failed.
-    """
-
+    # root mean square of the position errors, None without a path. Each segment is aligned by
+    # itself; with scale in mono
     ate_m: float | None
-    tracked: float
-    longest_step_m: float
+    tracked: float  # frames with a pose, as a ratio
+    longest_step_m: float  # longest distance between neighbouring frames
     verdict: str
-    is_trusted: bool
+    is_trusted: bool  # whether the run says that its path can be trusted
+    # kinds of faults that it reported; `!` after those that it could not handle
     faults: tuple[str, ...]
-    warning: str
-    error: bool = False
+    warning: str  # the first warning, or the error that refused the recording
+    error: bool = False  # whether the command failed
 
 
 def run(

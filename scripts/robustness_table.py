@@ -13,25 +13,15 @@ _MAX_WARNING = 110
 
 @dataclass(frozen=True)
 class Row:
-    """A recording with a fault, and the same one without.
-
-    Attributes:
-        situation: what is wrong.
-        variant: how much.
-        clip: recording and mode.
-        outcome: of the faulty recording.
-        clean: of the clean one.
-        max_ate_m: largest ATE that counts as right.
-        is_visible: whether the fault shows in the images.
-    """
+    """A recording with a fault, and the same one without."""
 
     situation: str
     variant: str
     clip: str
     outcome: Outcome
     clean: Outcome
-    max_ate_m: float
-    is_visible: bool = True
+    max_ate_m: float  # largest ATE that counts as right
+    is_visible: bool = True  # whether the fault shows in the images
 
     @property
     def is_wrong(self) -> bool:

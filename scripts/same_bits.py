@@ -53,17 +53,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Run:
-    """Result of one run.
-
-    Attributes:
-        folder: its output.
-        status: exit status.
-        cpu_s: CPU time of the command and of its child processes.
-    """
+    """Result of one run."""
 
     folder: Path
     status: int
-    cpu_s: float
+    cpu_s: float  # CPU time of the command and of its child processes
 
 
 def main() -> None:

@@ -17,13 +17,9 @@ def poses_at(body: Body, times_s: Floats, ground: Heights) -> tuple[Floats, Floa
     It cuts corners by at most its radius. A route of two points becomes a narrow loop there and
     back.
 
-    Args:
-        body: the body.
-        times_s: (N,).
-        ground: heights of the ground.
+    `times_s`: (N,).
 
-    Returns:
-        world_from_body (N, 4, 4), its origin on the ground, and velocities (N, 3) in the world.
+    Returns world_from_body (N, 4, 4), its origin on the ground, and velocities (N, 3) in the world.
     """
     route = _route(body, ground)
     along = body.start * route.length_m + body.speed_m_s * np.asarray(times_s, dtype=np.float64)

@@ -26,25 +26,15 @@ _MAX_LOOK_SPEED = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Handling:
-    """Parameters of the motion of a camera that a carrier moves along a route.
+    """Parameters of the motion of a camera that a carrier moves along a route."""
 
-    Attributes:
-        rng: random numbers of the wander.
-        freedom: 0…1, scale of the wander off the route.
-        heights_m: lowest and highest height above the ground.
-        view_yaw: direction of view, radians to the left of ahead.
-        seconds: length of the path.
-        speed: of the motion, 1 is usual.
-        repeats: whether the wander is periodic in `seconds`.
-    """
-
-    rng: np.random.Generator
-    freedom: float
-    heights_m: tuple[float, float]
-    view_yaw: float
+    rng: np.random.Generator  # random numbers of the wander
+    freedom: float  # 0…1, scale of the wander off the route
+    heights_m: tuple[float, float]  # lowest and highest height above the ground
+    view_yaw: float  # direction of view, radians to the left of ahead
     seconds: float
-    speed: float
-    repeats: bool
+    speed: float  # of the motion, 1 is usual
+    repeats: bool  # whether the wander is periodic in `seconds`
 
     def wander(
         self, profile: MotionProfile, amplitude: float, shortest_s: float, longest_s: float

@@ -33,10 +33,7 @@ def find_collision(path: PosePath, clearance: Clearance, margin_m: float) -> Col
     that a distance at the middle of a stretch bounds the whole stretch. Stretches that are not
     proven to be free are halved until they are 3 cm long.
 
-    Args:
-        path: an open path.
-        clearance: distances (N,) of points (N, 3) to the nearest solid.
-        margin_m: minimum distance.
+    `clearance`: distances (N,) of points (N, 3) to the nearest solid.
     """
     # The controls bound the speed of the spline, and so the length of every stretch.
     spans = np.linalg.norm(np.diff(path.controls[:, :3], axis=0), axis=1)

@@ -27,16 +27,11 @@ def measure(
     Samples lie at whole multiples of the period from the start of the path, from 0.1 s before the
     first frame to 0.1 s after the last. Without noise they are exact.
 
-    Args:
-        path: of the body.
-        stamps_ns: of the frames.
-        first_stamp_ns: stamp of time 0 of the path.
-        rate_hz: samples per second.
-        noise: continuous-time densities.
-        seed: of the noise.
-
     Source: Kalibr, IMU noise model: a sample's white noise is density * √rate, a bias's step is
     density / √rate.
+
+    `first_stamp_ns`: stamp of time 0 of the path. `rate_hz`: samples per second. `noise`:
+    continuous-time densities.
     """
     since_ns = _sample_times_ns(np.asarray(stamps_ns) - first_stamp_ns, rate_hz)
     times_s = since_ns / 1e9

@@ -16,10 +16,9 @@ def route_of_laps(waypoints: Floats, laps: Sequence[LapName], aside_m: float) ->
     Laps change their direction by a U-turn to the left in the middle of the first side, where the
     route starts.
 
-    Args:
-        waypoints: (K, 2) corners of one lap.
-        laps: directions, one after the other; none for one forward lap.
-        aside_m: distance of the laps in reverse from the forward ones, to the left of these.
+    `waypoints`: (K, 2) corners of one lap. `laps`: directions, one after the other; none for one
+    forward lap. `aside_m`: distance of the laps in reverse from the forward ones, to the left of
+    these.
     """
     corners = np.asarray(waypoints, dtype=np.float64)
     if not laps:

@@ -19,46 +19,27 @@ HIGH_M = 20.0  # head room above which drones fly outdoors
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits for the plan of a route and of the speeds along it.
+    """Limits for the plan of a route and of the speeds along it."""
 
-    Attributes:
-        speed_m_s: maximum, at speed 1.
-        lateral_m_s2: across the route, in curves and over the ground's rises and dips.
-        tangential_m_s2: along the route.
-        turn_rad_s: of the heading.
-        cut_m: largest distance by which a corner is cut.
-        weave_m: largest deviation to both sides.
-        weave_length_m: usual wavelength of that deviation.
-        level_m: length over which the heights of the ground are averaged.
-        margin_m: minimum distance to solids.
-        ease_s: time over which changes of speed are eased.
-    """
-
-    speed_m_s: float
-    lateral_m_s2: float
+    speed_m_s: float  # maximum, at speed 1
+    lateral_m_s2: float  # across the route, in curves and over the ground's rises and dips
     tangential_m_s2: float
     turn_rad_s: float
-    cut_m: float
-    weave_m: float
-    weave_length_m: float
-    level_m: float
-    margin_m: float
-    ease_s: float
+    cut_m: float  # largest distance by which a corner is cut
+    weave_m: float  # largest deviation to both sides
+    weave_length_m: float  # usual wavelength of that deviation
+    level_m: float  # length over which the heights of the ground are averaged
+    margin_m: float  # minimum distance to solids
+    ease_s: float  # time over which changes of speed are eased
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of a finished path, wander, bob and bumps included.
+    """Bounds of a finished path, wander, bob and bumps included."""
 
-    Attributes:
-        speed_m_s: at speed 1; proportional to the speed setting.
-        acceleration_m_s2: of the body's origin, at any speed.
-        turn_rad_s: angular velocity, at speed 1; at most proportional to the speed setting.
-    """
-
-    speed_m_s: float
-    acceleration_m_s2: float
-    turn_rad_s: float
+    speed_m_s: float  # at speed 1; proportional to the speed setting
+    acceleration_m_s2: float  # of the body's origin, at any speed
+    turn_rad_s: float  # angular velocity, at speed 1; at most proportional to the speed setting
 
 
 LIMITS: dict[Carrier, Limits] = {

@@ -14,27 +14,16 @@ from vo.base.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class MotionProfile:
-    """Position, direction and acceleration along a route at N equally spaced times.
+    """Position, direction and acceleration along a route at N equally spaced times."""
 
-    Attributes:
-        times_s: (N,).
-        step_s: between the times.
-        points: (N, 3) x, y and the averaged height of the ground.
-        heading: (N,) direction of the route, radians, without jumps.
-        slope: (N,) angle of ascent of the route.
-        ahead_m_s2: (N,) acceleration along the route.
-        left_m_s2: (N,) horizontal acceleration across it.
-        relative_speed: (N,) speed relative to the usual one, 0…1; scales bobbing and shaking.
-    """
-
-    times_s: Floats
+    times_s: Floats  # (N,)
     step_s: float
-    points: Floats
-    heading: Floats
-    slope: Floats
-    ahead_m_s2: Floats
-    left_m_s2: Floats
-    relative_speed: Floats
+    points: Floats  # (N, 3) x, y and the averaged height of the ground
+    heading: Floats  # (N,) direction of the route, radians, without jumps
+    slope: Floats  # (N,) angle of ascent of the route
+    ahead_m_s2: Floats  # (N,) acceleration along the route
+    left_m_s2: Floats  # (N,) horizontal acceleration across it
+    relative_speed: Floats  # (N,) speed relative to the usual one, 0…1; scales bobbing and shaking
 
     def smoothed(self, values: Floats, seconds: float) -> Floats:
         """Smooth a series (N,) over a time."""

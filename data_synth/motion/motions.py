@@ -64,14 +64,9 @@ def make_path(
 
     Wander and the cutting of corners are reduced until the path is free of collisions.
 
-    Args:
-        motion: its kind.
-        course: the route and the free space about it.
-        clearance: distances (N,) of points (N, 3) to the nearest solid.
-        seconds: duration.
-        speed: 1 is usual.
-        seed: of its random choices.
-        laps: directions of the laps of a loop; none for as many forward laps as fit.
+    `course`: the route and the free space about it. `clearance`: distances (N,) of points (N, 3) to
+    the nearest solid. `seconds`: duration. `speed`: 1 is usual. `laps`: directions of the laps of a
+    loop; none for as many forward laps as fit.
 
     Raises:
         ConfigError: no path is free of collisions, a loop does not fit into the duration, or laps

@@ -19,14 +19,9 @@ _MAX_TURN_RAD = np.deg2rad(175.0)
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A closed curve, parametrised by length: a uniform cubic B-spline.
+    """A closed curve, parametrised by length: a uniform cubic B-spline."""
 
-    Attributes:
-        controls: (M, 3) controls of x, y and the averaged height of the ground, metres.
-        step_m: length between controls.
-    """
-
-    controls: Floats
+    controls: Floats  # (M, 3) controls of x, y and the averaged height of the ground, metres
     step_m: float
 
     @property
@@ -60,14 +55,10 @@ def make_route(
 
     It starts in the middle between the first two corners.
 
-    Args:
-        waypoints: (K, 2) corners, K >= 2.
-        ground: heights below points.
-        cut_m: largest distance by which a corner is cut.
-        weave_m: largest deviation to the sides.
-        weave_length_m: usual wavelength of that deviation.
-        level_m: length over which the height of the ground is averaged.
-        rng: random numbers for the weaving.
+    `waypoints`: (K, 2) corners, K >= 2. `ground`: heights below points. `cut_m`: largest distance
+    by which a corner is cut. `weave_m`: largest deviation to the sides. `weave_length_m`: usual
+    wavelength of that deviation. `level_m`: length over which the height of the ground is averaged.
+    `rng`: random numbers for the weaving.
 
     Raises:
         ConfigError: fewer than two different corners.

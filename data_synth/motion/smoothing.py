@@ -32,12 +32,8 @@ def wander(
 ) -> Floats:
     """A smooth random series (N,) within ±amplitude, of three waves.
 
-    Args:
-        rng: random numbers.
-        times_s: (N,).
-        amplitude: largest value.
-        periods_s: shortest and longest period of a wave.
-        repeat_s: its period, or None for an aperiodic series.
+    `rng`: random numbers. `times_s`: (N,). `amplitude`: largest value. `repeat_s`: its period, or
+    None for an aperiodic series.
     """
     total = np.zeros(len(times_s))
     for _ in range(3):

@@ -18,17 +18,11 @@ _MIN_SQUARE_M2_S2 = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """Largest speed at each point of a closed route.
+    """Largest speed at each point of a closed route."""
 
-    Attributes:
-        squared_speeds: (M,) squared speeds that the tangential acceleration can reach, m²/s².
-        step_m: length between points.
-        tangential_m_s2: largest acceleration along the route.
-    """
-
-    squared_speeds: Floats
+    squared_speeds: Floats  # (M,) squared speeds that the tangential acceleration can reach, m²/s²
     step_m: float
-    tangential_m_s2: float
+    tangential_m_s2: float  # largest acceleration along the route
 
     @property
     def length_m(self) -> float:
@@ -49,17 +43,11 @@ class SpeedProfile:
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """Distances along a route by time, with constant acceleration between the rows.
+    """Distances along a route by time, with constant acceleration between the rows."""
 
-    Attributes:
-        times_s: (N,) increasing, from 0.
-        distances_m: (N,).
-        speeds_m_s: (N,) negative when going back.
-    """
-
-    times_s: Floats
-    distances_m: Floats
-    speeds_m_s: Floats
+    times_s: Floats  # (N,) increasing, from 0
+    distances_m: Floats  # (N,)
+    speeds_m_s: Floats  # (N,) negative when going back
 
     @property
     def duration_s(self) -> float:

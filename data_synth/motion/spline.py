@@ -22,12 +22,9 @@ def bspline(controls: Floats, at: Floats, derivative: int = 0, lap: Floats | Non
     A value is a weighted mean of four controls, and so within their range; a derivative is within
     the range of their differences.
 
-    Args:
-        controls: (K, C); control k has its largest weight at k.
-        at: (N,) positions in steps between controls: 1…K-2 for an open spline, any for a closed
-            one.
-        derivative: 0, 1 or 2, per step.
-        lap: for a closed spline, (C,) increment of each lap; None for an open one.
+    `controls`: (K, C); control k has its largest weight at k. `at`: (N,) positions in steps between
+    controls: 1…K-2 for an open spline, any for a closed one. `derivative`: 0, 1 or 2, per step.
+    `lap`: for a closed spline, (C,) increment of each lap; None for an open one.
 
     Raises:
         ValueError: a position outside an open spline.
@@ -56,20 +53,15 @@ class PosePath:
     """A path of the body, with x ahead, y to the left and z up.
 
     Positive pitch lifts the nose, positive roll lowers the right side.
-
-    Attributes:
-        controls: (K, 6) controls of x, y, z in metres and yaw, pitch, roll in radians in the
-            world; yaw is continuous.
-        step_s: time between controls.
-        lead: number of controls before time 0.
-        duration_s: duration; an open path extends slightly before 0 and after the end.
-        turns: for a closed path, full turns of yaw in K steps; None for an open path.
     """
 
+    # (K, 6) controls of x, y, z in metres and yaw, pitch, roll in radians in the world; yaw is
+    # continuous
     controls: Floats
-    step_s: float
-    lead: int
-    duration_s: float
+    step_s: float  # time between controls
+    lead: int  # number of controls before time 0
+    duration_s: float  # duration; an open path extends slightly before 0 and after the end
+    # for a closed path, full turns of yaw in K steps; None for an open path
     turns: int | None = None
 
     def world_from_body(self, times_s: Floats) -> Floats:

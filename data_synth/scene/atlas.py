@@ -13,15 +13,10 @@ LEVELS = 11
 
 
 class Atlas(NamedTuple):
-    """Mip-mapped textures; sides are powers of two, so that wrapping around is a bit mask.
+    """Mip-mapped textures; sides are powers of two, so that wrapping around is a bit mask."""
 
-    Attributes:
-        texels: (T,) uint8, all levels of all textures row by row.
-        levels: (N, LEVELS, 3) start, height and width of each level.
-    """
-
-    texels: Bytes
-    levels: Ints
+    texels: Bytes  # (T,) uint8, all levels of all textures row by row
+    levels: Ints  # (N, LEVELS, 3) start, height and width of each level
 
 
 def pack(textures: Sequence[Floats32]) -> Atlas:

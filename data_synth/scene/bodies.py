@@ -12,11 +12,10 @@ from vo.base.types import Floats
 def with_bodies(world: World, world_from_bodies: Floats, velocities: Floats) -> World:
     """The world with its moving bodies at given poses.
 
-    Args:
-        world: its arrays are shared with the result, but for those of moving solids.
-        world_from_bodies: (B, 4, 4) upright poses in the middle of the exposure of the image's
-            middle row.
-        velocities: (B, 3) metres per second; a body moves evenly during the exposure of an image.
+    `world`: its arrays are shared with the result, but for those of moving solids.
+    `world_from_bodies`: (B, 4, 4) upright poses in the middle of the exposure of the image's middle
+    row. `velocities`: (B, 3) metres per second; a body moves evenly during the exposure of an
+    image.
     """
     movers = world.movers
     if len(movers.bodies) == 0:

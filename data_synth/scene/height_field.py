@@ -13,39 +13,22 @@ STAIN_PER_TEXEL = 1.0 / 16.7  # incommensurate with textures, so that their sum 
 
 
 class HeightField(NamedTuple):
-    """Ground on a grid of R x C points, with bilinear interpolation.
+    """Ground on a grid of R x C points, with bilinear interpolation."""
 
-    Attributes:
-        heights: (R, C); 1 x 1 for no ground.
-        corner: (2,) x and y of heights[0, 0].
-        cell: metres between grid points.
-        per_m: grid points in a metre.
-        peaks: (P,) greatest heights of blocks of 1, 2, 4, … cells squared, level by level.
-        slopes: (P,) upper bounds of the slope, rise over run, in the same blocks.
-        starts: (L,) start of each level.
-        widths: (L,) blocks in a row of each level.
-        texture: number of its texture.
-        density: texels per metre.
-        stain: strength of its stain.
-        stain_scale: texels of the stain per metre.
-        light: on a grid over the same area.
-        finer: factor by which the grid of light is finer.
-    """
-
-    heights: Floats32
-    corner: Floats
-    cell: float
-    per_m: float
-    peaks: Floats32
-    slopes: Floats32
-    starts: Ints
-    widths: Ints
-    texture: int
-    density: float
+    heights: Floats32  # (R, C); 1 x 1 for no ground
+    corner: Floats  # (2,) x and y of heights[0, 0]
+    cell: float  # metres between grid points
+    per_m: float  # grid points in a metre
+    peaks: Floats32  # (P,) greatest heights of blocks of 1, 2, 4, … cells squared, level by level
+    slopes: Floats32  # (P,) upper bounds of the slope, rise over run, in the same blocks
+    starts: Ints  # (L,) start of each level
+    widths: Ints  # (L,) blocks in a row of each level
+    texture: int  # number of its texture
+    density: float  # texels per metre
     stain: float
-    stain_scale: float
-    light: Floats32
-    finer: int
+    stain_scale: float  # texels of the stain per metre
+    light: Floats32  # on a grid over the same area
+    finer: int  # factor by which the grid of light is finer
 
     @property
     def exists(self) -> bool:

@@ -58,10 +58,7 @@ def bake_lighting(world: World, lighting: Lighting) -> World:
 def light_of_session(lighting: Lighting, seed: int, session: int) -> Lighting:
     """The light of a world at another visit: a moved sun, and lamps of other strength.
 
-    Args:
-        lighting: the light of session 0.
-        seed: of the world.
-        session: number of the visit.
+    `lighting`: the light of session 0. `seed`: of the world. `session`: number of the visit.
     """
     if session == 0:
         return lighting

@@ -27,15 +27,11 @@ from vo.base.types import Camera, Floats, Floats32
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """A rendered view.
+    """A rendered view."""
 
-    Attributes:
-        image: (H, W) float32 radiance, 0…1.
-        depth: (H, W) float32 z of the surface in the camera's frame, in the middle of the row's
-            exposure; infinite for the sky and outside the image circle of the lens.
-    """
-
-    image: Floats32
+    image: Floats32  # (H, W) float32 radiance, 0…1
+    # (H, W) float32 z of the surface in the camera's frame, in the middle of the row's exposure;
+    # infinite for the sky and outside the image circle of the lens
     depth: Floats32
 
 
@@ -50,12 +46,9 @@ def camera_rays(camera: Camera) -> Floats:
 def render(world: World, rays: Floats, shutter: Shutter, pool: ThreadPoolExecutor) -> Rendered:
     """Render one view; the pool's threads share its rows.
 
-    Args:
-        world: the world.
-        rays: (H, W, 3) of the pixels in the camera's frame, z = 1; NaN outside the image circle of
-            the lens.
-        shutter: where the camera is, row by row, and exposure time of each row.
-        pool: its threads.
+    `world`: the world. `rays`: (H, W, 3) of the pixels in the camera's frame, z = 1; NaN outside
+    the image circle of the lens. `shutter`: where the camera is, row by row, and exposure time of
+    each row.
     """
     shape = rays.shape[:2]
     sharp, image, depth = (np.empty(shape, np.float32) for _ in range(3))

@@ -17,22 +17,14 @@ class Shutter(NamedTuple):
     """Poses of a camera from the start of the exposure of the first row to the end of the last.
 
     Poses between them are interpolated linearly.
-
-    Attributes:
-        rotations: (M, 3, 3) of world_from_cam, evenly spaced in time.
-        origins: (M, 3).
-        first: number (with fraction) of the pose in the middle of the first row's exposure.
-        per_row: number of poses from one row to the next.
-        width: poses that pass during the exposure of a row.
-        step_s: seconds from one pose to the next.
     """
 
-    rotations: Floats
-    origins: Floats
-    first: float
-    per_row: float
-    width: float
-    step_s: float
+    rotations: Floats  # (M, 3, 3) of world_from_cam, evenly spaced in time
+    origins: Floats  # (M, 3)
+    first: float  # number (with fraction) of the pose in the middle of the first row's exposure
+    per_row: float  # number of poses from one row to the next
+    width: float  # poses that pass during the exposure of a row
+    step_s: float  # seconds from one pose to the next
 
 
 def static_shutter(world_from_cam: Floats) -> Shutter:
@@ -51,12 +43,8 @@ def moving_shutter(
 ) -> Shutter:
     """Shutter of a camera on its path.
 
-    Args:
-        world_from_cam: poses (N, 4, 4) at times (N,) in seconds.
-        time_s: the middle of the exposure of the image's middle row.
-        rows: of the image.
-        exposure_s: exposure time of each row.
-        readout_s: time from the first row to the last.
+    `world_from_cam`: poses (N, 4, 4) at times (N,) in seconds. `time_s`: the middle of the exposure
+    of the image's middle row. `readout_s`: time from the first row to the last.
     """
     whole = exposure_s + readout_s
     if whole <= 0.0:

@@ -10,17 +10,11 @@ from vo.base.types import Floats, Ints
 
 
 class Tree(NamedTuple):
-    """Nodes in depth-first order.
+    """Nodes in depth-first order."""
 
-    Attributes:
-        bounds: (M, 6) lower then upper corners.
-        skip: (M,) the next node if the ray misses this one.
-        solid: (M,) the solid of a leaf, -1 for inner nodes.
-    """
-
-    bounds: Floats
-    skip: Ints
-    solid: Ints
+    bounds: Floats  # (M, 6) lower then upper corners
+    skip: Ints  # (M,) the next node if the ray misses this one
+    solid: Ints  # (M,) the solid of a leaf, -1 for inner nodes
 
 
 def build_tree(bounds: Floats) -> Tree:

@@ -31,82 +31,48 @@ class Lights(NamedTuple):
 
     The grids of a box are on its faces. Those of curved solids are on the cube about them, whose
     points are projected onto the surface, towards the middle or the axis of a cylinder.
-
-    Attributes:
-        values: (L,) float32, all faces, row by row.
-        grids: (N, 6, 3) start of each face, its rows and its columns, at least two each; face
-            2 * axis + (1 if the outward normal points along the axis).
     """
 
-    values: Floats32
+    values: Floats32  # (L,) float32, all faces, row by row
+    # (N, 6, 3) start of each face, its rows and its columns, at least two each; face 2 * axis + (1
+    # if the outward normal points along the axis)
     grids: Ints
 
 
 class Sources(NamedTuple):
-    """Sources of light.
+    """Sources of light."""
 
-    Attributes:
-        sky: radiance at the zenith.
-        sun: (3,) unit vector towards the sun, or zeros.
-        sun_power: radiance added to a surface that faces the sun.
-        ambient: radiance of ambient light.
-        lamps: (L, 5) centre, power and reach.
-    """
-
-    sky: float
-    sun: Floats
-    sun_power: float
-    ambient: float
-    lamps: Floats
+    sky: float  # radiance at the zenith
+    sun: Floats  # (3,) unit vector towards the sun, or zeros
+    sun_power: float  # radiance added to a surface that faces the sun
+    ambient: float  # radiance of ambient light
+    lamps: Floats  # (L, 5) centre, power and reach
 
 
 class Movers(NamedTuple):
-    """The moving solids: the last K of the world.
+    """The moving solids: the last K of the world."""
 
-    Attributes:
-        bodies: (K,) number of the body of each.
-        places: (K, 4) x, y, z and yaw of each in the frame of its body.
-        velocities: (K, 3) metres per second.
-        lights: (K, 4) direction times strength of the light on each, and ambient light.
-    """
-
-    bodies: Ints
-    places: Floats
-    velocities: Floats
-    lights: Floats
+    bodies: Ints  # (K,) number of the body of each
+    places: Floats  # (K, 4) x, y, z and yaw of each in the frame of its body
+    velocities: Floats  # (K, 3) metres per second
+    lights: Floats  # (K, 4) direction times strength of the light on each, and ambient light
 
 
 class World(NamedTuple):
-    """Solids, their tree, textures and light as plain arrays, for compiled code.
+    """Solids, their tree, textures and light as plain arrays, for compiled code."""
 
-    Attributes:
-        kinds: (N,) `Kind` of each solid.
-        shapes: (N, 11) centre, half size, cosine and sine of yaw, inverse half size.
-        textures: (N,) texture numbers.
-        scales: (N, 3, 2) texels per metre, right and down, on the faces of each axis.
-        offsets: (N, 2) texels.
-        goes_round: (N,) whether the texture runs round a cylinder, rather than half round and back.
-        stains: (N, 2) strength, and texels of the stain per metre.
-        bounds: (S, 6) lower and upper corners of boxes around the S <= N static solids, which
-            come first.
-        tree: of these solids.
-        atlas: the textures; the last one is the stain.
-        lights: light on the faces of static solids.
-        sources: sources of light.
-        height_field: the ground.
-        movers: moving solids.
-    """
-
-    kinds: Ints
-    shapes: Floats
-    textures: Ints
-    scales: Floats
-    offsets: Floats
+    kinds: Ints  # (N,) `Kind` of each solid
+    shapes: Floats  # (N, 11) centre, half size, cosine and sine of yaw, inverse half size
+    textures: Ints  # (N,) texture numbers
+    scales: Floats  # (N, 3, 2) texels per metre, right and down, on the faces of each axis
+    offsets: Floats  # (N, 2) texels
+    # (N,) whether the texture runs round a cylinder, rather than half round and back
     goes_round: Bools
-    stains: Floats
+    stains: Floats  # (N, 2) strength, and texels of the stain per metre
+    # (S, 6) lower and upper corners of boxes around the S <= N static solids, which come first
     bounds: Floats
     tree: Tree
-    atlas: Atlas
+    atlas: Atlas  # the textures; the last one is the stain
     lights: Lights
     sources: Sources
     height_field: HeightField
@@ -121,12 +87,9 @@ def build_world(
 ) -> World:
     """Turn solids and textures into arrays and a bounding-volume hierarchy, without light.
 
-    Args:
-        solids: static solids.
-        textures: textures, to which solids and ground refer by number.
-        ground: ground, if any.
-        movers: moving solids, each with the number of its body and relative to the origin of the
-            body, which is on the ground with x ahead. `with_bodies` places them.
+    `textures`: textures, to which solids and ground refer by number. `ground`: ground, if any.
+    `movers`: moving solids, each with the number of its body and relative to the origin of the
+    body, which is on the ground with x ahead. `with_bodies` places them.
     """
     everything = [*solids, *(solid for _, solid in movers)]
     shapes = np.array([_shape(s) for s in everything], dtype=np.float64).reshape(-1, 11)

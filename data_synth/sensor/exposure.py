@@ -22,17 +22,12 @@ _MAX_LIGHT = 2.0  # largest mean light estimated from a clipped image, of full s
 
 @dataclass(frozen=True)
 class Settings:
-    """Exposure of one image; the defaults map radiance 0…1 to the full scale of grey levels.
-
-    Attributes:
-        exposure_s: exposure time.
-        gain: amplification of the signal, and of its noise.
-        response: fraction of full scale, before the gamma curve, for radiance 1 in the light of the
-            start: exposure time / reference exposure time * gain.
-    """
+    """Exposure of one image; the defaults map radiance 0…1 to the full scale of grey levels."""
 
     exposure_s: float = 0.0
-    gain: float = 1.0
+    gain: float = 1.0  # amplification of the signal, and of its noise
+    # fraction of full scale, before the gamma curve, for radiance 1 in the light of the start:
+    # exposure time / reference exposure time * gain
     response: float = 1.0
 
 
@@ -73,10 +68,8 @@ class AutoExposure:
     def __init__(self, effects: Effects, fps: float, radiance_mean: float) -> None:
         """Start with the settings for a given view.
 
-        Args:
-            effects: their strengths.
-            fps: frames per second.
-            radiance_mean: mean radiance of the first view, vignetting included.
+        `fps`: frames per second. `radiance_mean`: mean radiance of the first view, vignetting
+        included.
         """
         lag = _LAG_S * effects.exposure * fps
         self._step = 1.0 - float(np.exp(-1.0 / lag)) if lag > 0.0 else 0.0

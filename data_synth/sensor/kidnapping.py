@@ -18,15 +18,10 @@ _SEED_ELSEWHERE = 76
 
 @dataclass(frozen=True, eq=False)
 class Kidnapping:
-    """Where on the path the frames of a recording are.
+    """Where on the path the frames of a recording are."""
 
-    Attributes:
-        path_s: (F,) time on the path of each frame; it jumps when the camera is carried.
-        black: (F,) black frames.
-    """
-
-    path_s: Floats
-    black: Bools
+    path_s: Floats  # (F,) time on the path of each frame; it jumps when the camera is carried
+    black: Bools  # (F,) black frames
 
 
 def path_seconds(effects: Effects, seconds: float) -> float:
@@ -45,12 +40,9 @@ def kidnap(
 
     The frames elsewhere are a quarter of the recording. It goes on where it was taken from.
 
-    Args:
-        effects: how often, and for how many black frames each way.
-        times_s: (F,) times of the frames since the start.
-        seconds: length of the recording.
-        position_at: positions (N, 3) on the path at times (N,).
-        seed: of the choice of the other places: the farthest of several.
+    `effects`: how often, and for how many black frames each way. `times_s`: (F,) times of the
+    frames since the start. `position_at`: positions (N, 3) on the path at times (N,). `seed`: of
+    the choice of the other places: the farthest of several.
     """
     path_s, black = times_s.copy(), np.zeros(len(times_s), np.bool_)
     if effects.kidnap == 0:

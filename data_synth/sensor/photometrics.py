@@ -52,14 +52,10 @@ def develop(
     Shot noise has a variance equal to the number of electrons. Read noise is added, then the gamma
     curve is applied (Janesick, Photon Transfer, 2007, eq. 3.5).
 
-    Args:
-        radiance: (H, W) radiance of the scene; 1 is full scale at the default settings and the
-            light of the start.
-        settings: exposure and gain.
-        effects: their strengths.
-        illumination: light on the scene; 0 gives a black frame, of read noise only.
-        vignette: (H, W) vignetting, or None.
-        rng: of the noise, by convention `default_rng([seed, 2, frame, camera])`.
+    `radiance`: (H, W) radiance of the scene; 1 is full scale at the default settings and the light
+    of the start. `illumination`: light on the scene; 0 gives a black frame, of read noise only.
+    `vignette`: (H, W) vignetting, or None. `rng`: of the noise, by convention `default_rng([seed,
+    2, frame, camera])`.
     """
     grey = np.ascontiguousarray(radiance, dtype=np.float32)
     scale = np.float32(255.0 * settings.response * illumination)

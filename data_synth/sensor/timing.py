@@ -19,19 +19,12 @@ _SEED_DROPS, _SEED_JITTER = 71, 72
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """The F frames of a recording.
+    """The F frames of a recording."""
 
-    Attributes:
-        times_s: (F,) true middle of each exposure, seconds from the start.
-        stamps_ns: for each camera, (F,) recorded stamps, strictly increasing.
-        dropped: for each camera, (F,) bool: missing frames.
-        illumination: (F,) light, 1 at the start; 0 for black frames.
-    """
-
-    times_s: Floats
-    stamps_ns: tuple[Ints, ...]
-    dropped: tuple[Bools, ...]
-    illumination: Floats
+    times_s: Floats  # (F,) true middle of each exposure, seconds from the start
+    stamps_ns: tuple[Ints, ...]  # for each camera, (F,) recorded stamps, strictly increasing
+    dropped: tuple[Bools, ...]  # for each camera, (F,) bool: missing frames
+    illumination: Floats  # (F,) light, 1 at the start; 0 for black frames
 
     @property
     def black(self) -> Bools:
@@ -46,13 +39,8 @@ def make_timing(
 
     Each effect has its own random numbers, so that effects do not influence each other.
 
-    Args:
-        effects: their strengths.
-        frames: number of frames, F.
-        fps: frames per second.
-        cameras: number of cameras, with a common trigger.
-        seed: of the random choices.
-        first_stamp_ns: stamp of the start.
+    `frames`: number of frames, F. `fps`: frames per second. `cameras`: number of cameras, with a
+    common trigger.
     """
     times_s = np.arange(frames) / fps
     illumination = drifting_light(times_s, effects.exposure, seed)

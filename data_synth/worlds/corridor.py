@@ -27,17 +27,10 @@ _USUAL_PEOPLE = 5
 
 @dataclass(frozen=True)
 class _Plan:
-    """Size of the loop, and content of each module of the walls.
+    """Size of the loop, and content of each module of the walls."""
 
-    Attributes:
-        long_m: length of the centre line of sides 0 and 2.
-        short_m: the same of sides 1 and 3.
-        inner: for each side, modules of the wall of the core.
-        outer: for each side, modules of the wall opposite.
-    """
-
-    long_m: float
-    short_m: float
+    long_m: float  # length of the centre line of sides 0 and 2
+    short_m: float  # the same of sides 1 and 3
     inner: tuple[tuple[str, ...], ...]
     outer: tuple[tuple[str, ...], ...]
 

@@ -34,31 +34,18 @@ class Opening:
 
 @dataclass(frozen=True)
 class Facade:
-    """A front of `width` x `height` metres.
+    """A front of `width` x `height` metres."""
 
-    Attributes:
-        width: metres.
-        height: metres.
-        wall: its material.
-        shade: mean reflectance of the wall, 0…1.
-        ground: shop windows or the windows of flats on the ground floor.
-        floors: heights of the upper floors, metres.
-        windows: of the upper floors and flats.
-        shops: shop windows.
-        door: the door.
-        shutters: whether its windows have shutters at their sides.
-    """
-
-    width: float
-    height: float
+    width: float  # metres
+    height: float  # metres
     wall: Wall
-    shade: float
-    ground: Ground
-    floors: tuple[float, ...]
-    windows: tuple[Opening, ...]
+    shade: float  # mean reflectance of the wall, 0…1
+    ground: Ground  # shop windows or the windows of flats on the ground floor
+    floors: tuple[float, ...]  # heights of the upper floors, metres
+    windows: tuple[Opening, ...]  # of the upper floors and flats
     shops: tuple[Opening, ...]
     door: Opening
-    shutters: bool
+    shutters: bool  # whether its windows have shutters at their sides
 
 
 def plan_facade(rng: Rng, width: float, floors: int) -> Facade:
@@ -92,10 +79,7 @@ def plan_facade(rng: Rng, width: float, floors: int) -> Facade:
 def paint_facade(build: Builder, plan: Facade, grain: Floats32) -> int:
     """Add the texture of a front, for a box of its size.
 
-    Args:
-        build: receives the texture.
-        plan: the front.
-        grain: (1024, 1024) noise of zero mean and unit deviation, shared by all fronts.
+    `grain`: (1024, 1024) noise of zero mean and unit deviation, shared by all fronts.
     """
     rows = 512 if plan.height < 7.5 else 1024
     return build.paint(partial(_facade, plan, grain), (rows, 1024))

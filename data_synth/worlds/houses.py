@@ -24,15 +24,8 @@ def house(
 ) -> None:
     """A house whose front is at `place`, facing -y.
 
-    Args:
-        build: receives the solids.
-        palette: textures.
-        place: middle of the foot of the front.
-        plan: the front.
-        front: texture of the front.
-        depth: metres.
-        roof_steps: number of courses of boxes of a roof up to its ridge; None for a few low ones,
-            which are enough for views from the street.
+    `depth`: metres. `roof_steps`: number of courses of boxes of a roof up to its ridge; None for a
+    few low ones, which are enough for views from the street.
     """
     walls = {"brick": palette.bricks, "concrete": palette.concrete}
     coat = walls.get(plan.wall) or int(build.rng.choice(palette.coats))

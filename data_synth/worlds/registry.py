@@ -19,10 +19,7 @@ WORLDS: dict[str, str] = {
 def make_scene(name: str, seed: int, movers: float = 0.0, session: int = 0) -> Scene:
     """Build a world; each module has `make_scene(seed, movers, session)`.
 
-    Args:
-        name: one of WORLDS.
-        seed: of all random choices.
-        movers: number of moving bodies relative to the usual one; 0 for none.
-        session: the solids do not depend on it, but the light does.
+    `movers`: number of moving bodies relative to the usual one; 0 for none. `session`: the solids
+    do not depend on it, but the light does.
     """
     return cast(Scene, import_module(WORLDS[name]).make_scene(seed, movers, session))

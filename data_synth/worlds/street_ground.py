@@ -41,11 +41,7 @@ def lay_ground(build: Builder, palette: Palette) -> None:
 def lay_pavement(build: Builder, palette: Palette, side: Frontage, level: int) -> None:
     """Pavement and kerb before a line of fronts, and the gardens behind it.
 
-    Args:
-        build: receives the solids.
-        palette: textures.
-        side: the line of fronts.
-        level: number of the pavement; overlapping ones differ by millimetres in height.
+    `level`: number of the pavement; overlapping ones differ by millimetres in height.
     """
     long, top = side.length + 2 * plan.PAVEMENT_M, plan.PAVED_Z_M + 0.002 * (level % 3)
     texture = palette.paving if level % 4 else palette.cobbles

@@ -24,21 +24,13 @@ PAVED_Z_M = 0.12
 
 @dataclass(frozen=True)
 class Frontage:
-    """One side of a street between two crossings.
+    """One side of a street between two crossings."""
 
-    Attributes:
-        place: middle of the line of fronts, facing the street.
-        length: of the line of fronts, metres.
-        left: length without houses at the left end, for those around the corner.
-        right: the same at the right end.
-        on_loop: whether it is along the course.
-    """
-
-    place: Place
-    length: float
-    left: float = 0.0
+    place: Place  # middle of the line of fronts, facing the street
+    length: float  # of the line of fronts, metres
+    left: float = 0.0  # length without houses at the left end, for those around the corner
     right: float = 0.0
-    on_loop: bool = True
+    on_loop: bool = True  # whether it is along the course
 
 
 def frontages() -> tuple[Frontage, ...]:

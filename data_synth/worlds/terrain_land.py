@@ -35,10 +35,7 @@ class Line:
 def roll_hills(rng: Rng, lines: tuple[Line, ...], sites: Floats) -> Floats32:
     """Heights (R, C) of the whole ground, from its corner (-SIDE_M / 2, -SIDE_M / 2).
 
-    Args:
-        rng: source of randomness.
-        lines: roads and tracks, where bumps are levelled.
-        sites: (N, 2) flat sites of houses.
+    `lines`: roads and tracks, where bumps are levelled. `sites`: (N, 2) flat sites of houses.
     """
     count = round(SIDE_M / CELL_M) + 1
     raw = _RISE_M * noise(rng, (512, 512), 2.0)[:count, :count]

@@ -16,11 +16,8 @@ _LETTERS = np.array(list(string.ascii_uppercase + string.digits))
 def noise(rng: Rng, shape: tuple[int, int], slope: float = 1.0, stretch: float = 1.0) -> Floats32:
     """Noise with amplitude ~ 1/f^slope, zero mean, unit deviation; periodic.
 
-    Args:
-        rng: source of randomness.
-        shape: height and width.
-        slope: 0 is white, 1 is like natural images, more is smoother.
-        stretch: ratio of the size of its grains along u to that along v.
+    `slope`: 0 is white, 1 is like natural images, more is smoother. `stretch`: ratio of the size of
+    its grains along u to that along v.
     """
     white = rng.standard_normal(shape, dtype=np.float32)
     fv = np.fft.fftfreq(shape[0]).astype(np.float32)[:, None]

@@ -22,14 +22,8 @@ def tree(
 ) -> None:
     """A broad-leaved tree.
 
-    Args:
-        build: receives the solids.
-        palette: textures.
-        foot: point on the ground.
-        height: metres.
-        spread: diameter of its crown, metres.
-        clumps: ellipsoids of its crown.
-        bare: fraction of its height below the crown.
+    `height`: metres. `spread`: diameter of its crown, metres. `bare`: fraction of its height below
+    the crown.
     """
     x, y, z = foot
     trunk = 0.028 * height + 0.06

@@ -29,21 +29,14 @@ _PNG = (
 
 @dataclass(frozen=True, eq=False)
 class EncodedShot:
-    """An encoded frame.
+    """An encoded frame."""
 
-    Attributes:
-        index: number of the frame, 0…F-1.
-        data: for each camera the encoded image, or None if dropped.
-        pixel_formats: for each camera the name of its raw pixel format; empty if dropped.
-        depth: (H, W) float32 z in cam0, metres, infinite for the sky; or None.
-        depth_data: the same, encoded by `encode_depth`, or None.
-    """
-
-    index: int
-    data: tuple[bytes | None, ...]
+    index: int  # number of the frame, 0…F-1
+    data: tuple[bytes | None, ...]  # for each camera the encoded image, or None if dropped
+    # for each camera the name of its raw pixel format; empty if dropped
     pixel_formats: tuple[str, ...]
-    depth: Floats32 | None
-    depth_data: bytes | None
+    depth: Floats32 | None  # (H, W) float32 z in cam0, metres, infinite for the sky; or None
+    depth_data: bytes | None  # the same, encoded by `encode_depth`, or None
 
 
 def pixel_format(image: Pixels | None) -> str:
@@ -75,10 +68,8 @@ def encoded_shots(
     At most `FRAMES_AHEAD` frames are taken from `shots` in advance. A caller that stops early
     closes the generator (`contextlib.closing`), which ends the threads.
 
-    Args:
-        shots: the frames.
-        codec: `png`, `jpeg` or `raw`.
-        encode_depth: encoder for `depth_data`; None for no `depth_data`.
+    `codec`: `png`, `jpeg` or `raw`. `encode_depth`: encoder for `depth_data`; None for no
+    `depth_data`.
     """
     waiting: deque[_Job] = deque()
     with ThreadPoolExecutor(_THREADS, thread_name_prefix="encode") as pool:

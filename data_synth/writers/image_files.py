@@ -46,12 +46,8 @@ def write_images(
 ) -> None:
     """Write all images, and the depth images of the frames that cam0 has.
 
-    Args:
-        shots: the frames.
-        codec: `png` or `jpeg`.
-        image_path: path of an image, given the numbers of camera and frame.
-        depth_path: path of a depth image, given the number of the frame.
-        encode_depth: encoder of depth images.
+    `codec`: `png` or `jpeg`. `image_path`: path of an image, given the numbers of camera and frame.
+    `depth_path`: path of a depth image, given the number of the frame.
 
     Raises:
         OSError: a file cannot be written.

@@ -26,11 +26,8 @@ from vo.recordings.formats.messages import Dialect, Message
 def write_foxglove(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
     """Write a recording with Foxglove's protobuf messages.
 
-    Args:
-        path: the file, which must not exist.
-        recording: the recording without its images.
-        shots: the images, in the order of their frames.
-        codec: `png`, `jpeg` or `raw`.
+    `path`: the file, which must not exist. `recording`: the recording without its images. `shots`:
+    the images, in the order of their frames. `codec`: `png`, `jpeg` or `raw`.
 
     Raises:
         CalibrationError: the pair cannot be rectified.

@@ -14,18 +14,12 @@ from vo.base.types import Rig
 
 
 class Format(NamedTuple):
-    """Writer and limits of a layout.
+    """Writer and limits of a layout."""
 
-    Attributes:
-        write: `module:function` of a `Write`, imported on demand.
-        codecs: of images.
-        suffix: of the file; empty for folders.
-        check: given the cameras and whether frames are dropped, raises if they do not fit.
-    """
-
-    write: str
+    write: str  # `module:function` of a `Write`, imported on demand
     codecs: tuple[str, ...]
-    suffix: str = ""
+    suffix: str = ""  # of the file; empty for folders
+    # given the cameras and whether frames are dropped, raises if they do not fit
     check: Callable[[Rig, bool], None] = check_nothing
 
 
@@ -50,10 +44,6 @@ def load_writer(name: str) -> Write:
 
 def check(recipe: Recipe, rig: Rig) -> None:
     """Check, before rendering, that a layout can represent the recording of a recipe.
-
-    Args:
-        recipe: the settings.
-        rig: its cameras.
 
     Raises:
         ConfigError: the layout cannot represent it.

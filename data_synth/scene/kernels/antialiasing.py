@@ -46,15 +46,9 @@ def antialias_rows(
     Where one surface fills the pixel all the time, the mean is that of the view along its motion
     (`blur`); elsewhere that of several rays (`supersampling`).
 
-    Args:
-        world: with everything that moves in place.
-        shutter: motion of the camera.
-        rays: (H, W, 3) of the pixels in the camera's frame.
-        band: rows.
-        view: all rows of the first pass.
-        marks: (C, H, W) from `edges.mark_edges`; some pixels at the border are added.
-        sampling: rays of marked pixels.
-        image: (H, W) the result.
+    `world`: with everything that moves in place. `rays`: (H, W, 3) of the pixels in the camera's
+    frame. `marks`: (C, H, W) from `edges.mark_edges`; some pixels at the border are added.
+    `sampling`: rays of marked pixels. `image`: (H, W) the result.
     """
     far, near = empty_list(world), empty_list(world)
     scratch = Scratch(

@@ -43,13 +43,10 @@ def bake_faces(
 ) -> None:
     """Bake the light on faces faces[0]…faces[1] - 1, where face = 6 * solid + side.
 
-    Args:
-        world: its `lights.values` are written.
-        faces: range of faces.
-        lamps: (L, 5) centre, power and reach.
-        lamp_points: (L, P, 3) points of each lamp, the first four of them its corners.
-        to_sky: (K, 3) directions above a surface along two tangents and its normal, all of the
-            length up to which solids occlude.
+    `world`: its `lights.values` are written. `lamps`: (L, 5) centre, power and reach.
+    `lamp_points`: (L, P, 3) points of each lamp, the first four of them its corners. `to_sky`: (K,
+    3) directions above a surface along two tangents and its normal, all of the length up to which
+    solids occlude.
     """
     lights, nearby = world.lights, np.empty(len(world.kinds), np.int64)
     for number in range(faces[0], faces[1]):
@@ -93,10 +90,8 @@ def bake_ground(
 def light_movers(world: World, centres: Floats, lights: Floats) -> None:
     """Set the light on moving solids, of the sun and of those lamps that are visible.
 
-    Args:
-        world: the solids that do not move cast shadows.
-        centres: (K, 3) of the moving solids.
-        lights: (K, 4) the result: sum of direction times strength, and ambient light.
+    `world`: the solids that do not move cast shadows. `centres`: (K, 3) of the moving solids.
+    `lights`: (K, 4) the result: sum of direction times strength, and ambient light.
     """
     sources = world.sources
     for k in range(len(centres)):

@@ -32,16 +32,11 @@ def mark_edges(
 ) -> None:
     """Mark the pixels over which an edge passes during the exposure, for rows of a band.
 
-    Args:
-        world: with everything that moves in place.
-        shutter: motion of the camera.
-        rays: (H, W, 3) of the pixels in the camera's frame.
-        band: the edges are those of rows band[0]…band[1] - 1 to the right and below; the pixels
-            that they pass may lie in other rows.
-        view: all rows of the first pass.
-        counts: (C,) numbers of rays, see `count_index`.
-        marks: (C, H, W) zeros; marks[0] is set to 1 for every such pixel, and marks[k] if the edge
-            moves so far that the pixel needs counts[k] rays.
+    `world`: with everything that moves in place. `rays`: (H, W, 3) of the pixels in the camera's
+    frame. `band`: the edges are those of rows band[0]…band[1] - 1 to the right and below; the
+    pixels that they pass may lie in other rows. `counts`: (C,) numbers of rays, see `count_index`.
+    `marks`: (C, H, W) zeros; marks[0] is set to 1 for every such pixel, and marks[k] if the edge
+    moves so far that the pixel needs counts[k] rays.
     """
     depth, surface = view.depth, view.surface
     rows, columns = surface.shape

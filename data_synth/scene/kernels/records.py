@@ -45,29 +45,18 @@ ZERO = (0.0, 0.0, 0.0)
 
 
 class View(NamedTuple):
-    """Hits of the centre rays of all pixels, in the middle of the exposure of their rows.
+    """Hits of the centre rays of all pixels, in the middle of the exposure of their rows."""
 
-    Attributes:
-        image: (H, W) radiance, 0…1.
-        depth: (H, W) t of the hit, which is its depth.
-        surface: (H, W) number of the surface.
-    """
-
-    image: Floats32
-    depth: Floats32
-    surface: NDArray[np.int32]
+    image: Floats32  # (H, W) radiance, 0…1
+    depth: Floats32  # (H, W) t of the hit, which is its depth
+    surface: NDArray[np.int32]  # (H, W) number of the surface
 
 
 class Sampling(NamedTuple):
-    """Rays of the pixels that edges pass.
+    """Rays of the pixels that edges pass."""
 
-    Attributes:
-        counts: (C,) rays of a pixel, more of them for more motion.
-        offsets: (C, max(counts), 3) offset of each across, down and in time, -0.5…0.5.
-    """
-
-    counts: Ints
-    offsets: Floats
+    counts: Ints  # (C,) rays of a pixel, more of them for more motion
+    offsets: Floats  # (C, max(counts), 3) offset of each across, down and in time, -0.5…0.5
 
 
 class Shape(NamedTuple):
@@ -96,40 +85,22 @@ class Beam(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Solids and ground that a group of rays may meet.
+    """Solids and ground that a group of rays may meet."""
 
-    Attributes:
-        solids: (K,) by `entries`, in ascending order.
-        entries: (K,) t before which no ray meets the solid.
-        ground_entry: t before which no ray meets the ground, infinite for none.
-        descent_end: see `ground_bounds.descent_end`.
-    """
-
-    solids: Ints
-    entries: Floats
-    ground_entry: float
-    descent_end: float
+    solids: Ints  # (K,) by `entries`, in ascending order
+    entries: Floats  # (K,) t before which no ray meets the solid
+    ground_entry: float  # t before which no ray meets the ground, infinite for none
+    descent_end: float  # see `ground_bounds.descent_end`
 
 
 class Filter(NamedTuple):
-    """Parameters of the mean of a texture over the footprint of a ray.
-
-    Attributes:
-        level: mip-map level.
-        samples: number of samples along the longer side of the footprint.
-        next_weight: weight of the next level, 0…1.
-        scale: fixed-point units of the level in a texel of level 0.
-        right: the longer side, in texels of level 0, to the right
-        down: and down.
-        stain_level: mip-map level of the stain, which one sample of one level approximates.
-        stain_scale: texels of that level in a texel of level 0.
-    """
+    """Parameters of the mean of a texture over the footprint of a ray."""
 
     level: int
-    samples: int
-    next_weight: float
-    scale: float
-    right: float
+    samples: int  # number of samples along the longer side of the footprint
+    next_weight: float  # weight of the next level, 0…1
+    scale: float  # fixed-point units of the level in a texel of level 0
+    right: float  # the longer side, in texels of level 0, to the right
     down: float
-    stain_level: int
-    stain_scale: float
+    stain_level: int  # mip-map level of the stain, which one sample of one level approximates
+    stain_scale: float  # texels of that level in a texel of level 0

@@ -38,22 +38,15 @@ _MAX_NEIGHBOURS = 4  # solids in the 3 x 3 pixels; with more, an unseen one may 
 
 
 class Scratch(NamedTuple):
-    """Memory that is reused for every pixel of a band.
+    """Memory that is reused for every pixel of a band."""
 
-    Attributes:
-        groups: (G, 5) for each surface, of the rays that meet it: their number, the sums of their
-            offsets across, down and in time, the sum of 1 / t.
-        numbers: (G,) surfaces of the groups.
-        packet: rays, see `packets`.
-        around: (9,) solids that neighbouring pixels see.
-        entries: (9,) zeros.
-    """
-
+    # (G, 5) for each surface, of the rays that meet it: their number, the sums of their offsets
+    # across, down and in time, the sum of 1 / t
     groups: Floats
-    numbers: Ints
-    packet: Floats
-    around: Ints
-    entries: Floats
+    numbers: Ints  # (G,) surfaces of the groups
+    packet: Floats  # rays, see `packets`
+    around: Ints  # (9,) solids that neighbouring pixels see
+    entries: Floats  # (9,) zeros
 
 
 @inlined
@@ -145,19 +138,11 @@ def supersample_pixel(
     rays. If the first half of the rays meet the surface of the centre ray, the second half is
     assumed to.
 
-    Args:
-        world: with everything that moves in place.
-        shutter: motion of the camera.
-        rays: (H, W, 3) of the pixels in the camera's frame.
-        pixel: row and column.
-        candidates: what may be met.
-        is_open: whether rays may meet nothing; if it is false and one does, the result is -1.
-        level: index of the number of rays.
-        offsets: (K, 3) of the rays.
-        poses: (counts[0], 13) at the offsets in time of level 0, which most pixels have.
-        scratch: memory.
-        sweep: motion of the camera during the exposure of the row.
-        view: of the centre rays.
+    `world`: with everything that moves in place. `rays`: (H, W, 3) of the pixels in the camera's
+    frame. `candidates`: what may be met. `is_open`: whether rays may meet nothing; if it is false
+    and one does, the result is -1. `level`: index of the number of rays. `offsets`: (K, 3) of the
+    rays. `poses`: (counts[0], 13) at the offsets in time of level 0, which most pixels have.
+    `sweep`: motion of the camera during the exposure of the row.
     """
     (row, column), (groups, numbers, packet, _, _) = pixel, scratch
     rows, total_rays = rays.shape[0], len(offsets)

@@ -18,20 +18,14 @@ AlignKind = Literal["none", "se3", "sim3", "scale"]
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Alignment of an estimate with the reference.
+    """Alignment of an estimate with the reference."""
 
-    Attributes:
-        kind: estimated parameters: none, rotation and translation (`se3`), these and scale
-            (`sim3`), or scale alone.
-        reason: why this kind was chosen, in a few words.
-        reference_from_estimate: the transform that was applied.
-        best_scale: scale of the best similarity transform, applied or not; None where it is
-            undefined.
-    """
-
+    # estimated parameters: none, rotation and translation (`se3`), these and scale (`sim3`), or
+    # scale alone
     kind: AlignKind
-    reason: str
-    reference_from_estimate: Similarity
+    reason: str  # why this kind was chosen, in a few words
+    reference_from_estimate: Similarity  # the transform that was applied
+    # scale of the best similarity transform, applied or not; None where it is undefined
     best_scale: float | None
 
     @property

@@ -20,21 +20,13 @@ _GAP_INTERVALS = 3.0
 
 @dataclass(frozen=True, eq=False)
 class MatchedPoses:
-    """Estimated and reference poses at the same times.
+    """Estimated and reference poses at the same times."""
 
-    Attributes:
-        stamps_ns: (N,) stamps of the estimate, increasing.
-        estimate: (N, 4, 4) world_from_cam in the estimate's world.
-        reference: (N, 4, 4) world_from_cam in the reference's world.
-        method: reference poses nearest in time, or interpolated.
-        tolerance_s: largest difference between the stamps of a pair.
-    """
-
-    stamps_ns: Ints
-    estimate: Floats
-    reference: Floats
-    method: AssociationMethod
-    tolerance_s: float
+    stamps_ns: Ints  # (N,) stamps of the estimate, increasing
+    estimate: Floats  # (N, 4, 4) world_from_cam in the estimate's world
+    reference: Floats  # (N, 4, 4) world_from_cam in the reference's world
+    method: AssociationMethod  # reference poses nearest in time, or interpolated
+    tolerance_s: float  # largest difference between the stamps of a pair
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -59,13 +51,9 @@ def associate(
 ) -> MatchedPoses:
     """Pair the poses of two trajectories by stamp.
 
-    Args:
-        estimate: the trajectory to evaluate.
-        reference: the ground truth.
-        tolerance_s: largest difference of stamps; with interpolation, the largest distance of a
-            stamp from the ends of the reference.
-        interpolated: interpolate the reference on SE(3) geodesics at the estimate's stamps,
-            instead of taking its nearest pose.
+    `tolerance_s`: largest difference of stamps; with interpolation, the largest distance of a stamp
+    from the ends of the reference. `interpolated`: interpolate the reference on SE(3) geodesics at
+    the estimate's stamps, instead of taking its nearest pose.
 
     Raises:
         EvaluationError: no pair of poses is within the tolerance.

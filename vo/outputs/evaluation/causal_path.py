@@ -19,9 +19,7 @@ def tracked_part(causal: Trajectory, folder: Path) -> Trajectory:
 
     Lost frames have a pose in `causal.tum`, too, if an inertial sensor predicts it.
 
-    Args:
-        causal: the causal path, or a part of it.
-        folder: of its run.
+    `causal`: the causal path, or a part of it.
     """
     kept = ~predicted(causal, folder)
     return Trajectory(causal.stamps_ns[kept], causal.world_from_cam[kept])

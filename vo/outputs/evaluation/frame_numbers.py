@@ -19,15 +19,10 @@ def frame_numbers(
 ) -> Ints | None:
     """Numbers (N,) of the frames of some poses, from `poses.csv` beside the trajectory of a run.
 
-    Args:
-        estimate: file of the trajectory.
-        stamps_ns: (N,) stamps of its poses.
-        summary: the summary of the run.
-        frames: number of poses of the ground truth.
+    `stamps_ns`: (N,) stamps of its poses. `frames`: number of poses of the ground truth.
 
-    Returns:
-        None if it is unknown, or if the ground truth may not have one pose for each frame of the
-        recording: the run had another number of frames, or left some of them out.
+    Returns None if it is unknown, or if the ground truth may not have one pose for each frame of
+    the recording: the run had another number of frames, or left some of them out.
     """
     is_whole = summary.get("start") in (None, 0) and summary.get("stride") in (None, 1)
     if not is_whole or summary.get("frames") != frames:
@@ -43,9 +38,7 @@ def segment_numbers(estimate: Path, stamps_ns: Ints) -> Ints | None:
 
     Merged segments have one number, and another segment may lie between them.
 
-    Args:
-        estimate: file of the trajectory.
-        stamps_ns: (N,) stamps of its poses.
+    `stamps_ns`: (N,) stamps of its poses.
     """
     return _column(estimate, stamps_ns, 2)
 

@@ -40,24 +40,15 @@ _TARTANAIR_NOTE = "ground truth read as TartanAir's: camera axes x forward, y ri
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Two comparable trajectories and their origin.
-
-    Attributes:
-        estimate_path: file of the estimate.
-        reference_path: file or folder of the reference.
-        estimate: the trajectory to evaluate.
-        reference: the ground truth.
-        mode: mode of the run that made the estimate, `auto` if unknown.
-        notes: changes made to them, for the reader of the results.
-        causal_mode: mode of the causal path of the run, which is never converted to metres.
-    """
+    """Two comparable trajectories and their origin."""
 
     estimate_path: Path
-    reference_path: Path
+    reference_path: Path  # file or folder of the reference
     estimate: Trajectory
     reference: Trajectory
-    mode: Mode
-    notes: tuple[str, ...] = ()
+    mode: Mode  # mode of the run that made the estimate, `auto` if unknown
+    notes: tuple[str, ...] = ()  # changes made to them, for the reader of the results
+    # mode of the causal path of the run, which is never converted to metres
     causal_mode: Mode = "auto"
 
 
@@ -83,15 +74,12 @@ def load_inputs(
 ) -> Inputs:
     """Read an estimate and its reference.
 
-    Args:
-        estimate: a trajectory file, the folder of a run with `trajectory.tum` and `summary.json`,
-            or a trajectory.
-        reference: a trajectory file, the folder of a sequence with its ground truth, or a
-            trajectory.
-        calibration: file with the pose of cam0 on the body, for ground truth of the body; by
-            default that of the run, or else the one beside the ground truth.
-        all_segments: keep all segments of a run that lost track. Each has its own world frame, so
-            by default only the longest is kept.
+    `estimate`: a trajectory file, the folder of a run with `trajectory.tum` and `summary.json`, or
+    a trajectory. `reference`: a trajectory file, the folder of a sequence with its ground truth, or
+    a trajectory. `calibration`: file with the pose of cam0 on the body, for ground truth of the
+    body; by default that of the run, or else the one beside the ground truth. `all_segments`: keep
+    all segments of a run that lost track. Each has its own world frame, so by default only the
+    longest is kept.
 
     Raises:
         SourceError: a file is missing or damaged.

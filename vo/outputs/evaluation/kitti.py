@@ -18,19 +18,12 @@ _SHORT_STEP = 1
 
 @dataclass(frozen=True)
 class LengthDrift:
-    """Mean drift over all sub-paths of one length.
-
-    Attributes:
-        length_m: length of the sub-paths.
-        count: number of sub-paths.
-        translation_percent: position error at the end, relative to the length.
-        rotation_deg_per_m: rotation error at the end, relative to the length.
-    """
+    """Mean drift over all sub-paths of one length."""
 
     length_m: float
-    count: int
-    translation_percent: float
-    rotation_deg_per_m: float
+    count: int  # number of sub-paths
+    translation_percent: float  # position error at the end, relative to the length
+    rotation_deg_per_m: float  # rotation error at the end, relative to the length
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,9 @@ def has_colour_of_kitti(path: Path) -> bool:
 def inputs_with_own_truth(run: Path, recording: Path, truth: Trajectory | None) -> Inputs | None:
     """A run and the ground truth of its recording: from its file, or else as opened.
 
-    Args:
-        run: folder of the run.
-        recording: path of the recording.
-        truth: ground truth of the opened recording, None without one.
+    `truth`: ground truth of the opened recording, None without one.
 
-    Returns:
-        None without ground truth.
+    Returns None without ground truth.
 
     Raises:
         EvaluationError: the two cannot be compared.
@@ -43,9 +39,8 @@ def inputs_with_own_truth(run: Path, recording: Path, truth: Trajectory | None) 
 def causal_ate_m(causal: Trajectory, inputs: Inputs) -> float | None:
     """ATE of the part of the causal path that belongs to an estimate; None if there is none.
 
-    Args:
-        causal: the whole causal path of the run, of tracked frames.
-        inputs: the smoothed path of a segment, and the ground truth.
+    `causal`: the whole causal path of the run, of tracked frames. `inputs`: the smoothed path of a
+    segment, and the ground truth.
     """
     stamps_ns, evaluated_ns = causal.stamps_ns, inputs.estimate.stamps_ns
     kept = (stamps_ns >= evaluated_ns[0]) & (stamps_ns <= evaluated_ns[-1])

@@ -34,11 +34,8 @@ def save_plot(
 ) -> None:
     """Save the plot of an evaluation as a .png, .pdf or .svg file.
 
-    Args:
-        path: the file; overwritten if it exists.
-        evaluation: the evaluation to plot.
-        reference: the whole reference; unmatched parts are drawn in grey.
-        title: title of the figure.
+    `path`: the file; overwritten if it exists. `reference`: the whole reference; unmatched parts
+    are drawn in grey.
 
     Raises:
         OutputError: unsupported suffix, or the file cannot be written.

@@ -99,16 +99,12 @@ def evaluate(
 ) -> Evaluation:
     """Compare an estimated trajectory with the ground truth.
 
-    Args:
-        estimate: the trajectory to evaluate.
-        reference: the ground truth, poses of the same camera.
-        align: kind of alignment; `auto` is `sim3` for a mono estimate, else `se3`.
-        mode: mode of the run that made the estimate; `auto` if unknown.
-        tolerance_s: largest difference between the stamps of a pair.
-        interpolated: interpolate the reference at the estimate's stamps.
-        delta_frames: step of the relative error in matched poses.
-        delta_m: step of the relative error in metres; by default about a tenth of the path, at
-            most 100.
+    `reference`: the ground truth, poses of the same camera. `align`: kind of alignment; `auto` is
+    `sim3` for a mono estimate, else `se3`. `mode`: mode of the run that made the estimate; `auto`
+    if unknown. `tolerance_s`: largest difference between the stamps of a pair. `interpolated`:
+    interpolate the reference at the estimate's stamps. `delta_frames`: step of the relative error
+    in matched poses. `delta_m`: step of the relative error in metres; by default about a tenth of
+    the path, at most 100.
 
     Raises:
         EvaluationError: no common stamps, or too few poses or too little motion to align.

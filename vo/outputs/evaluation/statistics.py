@@ -12,23 +12,14 @@ from vo.base.types import Floats
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of a set of errors, in the unit of the errors.
+    """Statistics of a set of errors, in the unit of the errors."""
 
-    Attributes:
-        rmse: root of the mean square.
-        mean: mean.
-        median: median.
-        max: largest.
-        min: smallest.
-        std: standard deviation of the population.
-    """
-
-    rmse: float
+    rmse: float  # root of the mean square
     mean: float
     median: float
-    max: float
-    min: float
-    std: float
+    max: float  # largest
+    min: float  # smallest
+    std: float  # standard deviation of the population
 
     @staticmethod
     def of(errors: Floats) -> Statistics:
@@ -49,15 +40,10 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """Errors of N poses or N motions.
+    """Errors of N poses or N motions."""
 
-    Attributes:
-        translation_m: (N,) lengths in metres.
-        rotation_deg: (N,) angles in degrees, 0 to 180.
-    """
-
-    translation_m: Floats
-    rotation_deg: Floats
+    translation_m: Floats  # (N,) lengths in metres
+    rotation_deg: Floats  # (N,) angles in degrees, 0 to 180
 
     def __len__(self) -> int:
         return len(self.translation_m)

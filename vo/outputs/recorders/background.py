@@ -44,11 +44,9 @@ class BackgroundRecorder:
     then, with a warning; their keyframe poses are passed with the next frame. A recorder that fails
     is stopped with a warning, and the run goes on.
 
-    Args:
-        recorder: the recorder to run in the thread.
-        queue_size: maximum number of frames in the queue.
-        may_drop: whether frames may be left out of the recording.
-        timeout_s: with `may_drop`, time without progress after which `finish` no longer waits.
+    `queue_size`: maximum number of frames in the queue. `may_drop`: whether frames may be left out
+    of the recording. `timeout_s`: with `may_drop`, time without progress after which `finish` no
+    longer waits.
     """
 
     def __init__(

@@ -33,9 +33,7 @@ class Strips(NamedTuple):
 class Batch:
     """Rows by entity, sent to every sink together, because each chunk has a header of 1 kB.
 
-    Args:
-        sinks: receive the rows.
-        timelines: converts moments to time columns.
+    `timelines`: converts moments to time columns.
     """
 
     def __init__(self, sinks: Sequence[Sink], timelines: Timelines) -> None:

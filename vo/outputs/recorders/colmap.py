@@ -35,9 +35,8 @@ class ColmapRecorder:
     the odometry: rectified in stereo, as recorded in mono (in colour if available). They are
     undistorted if COLMAP does not support the lens.
 
-    Args:
-        folder: created if it is missing; models of an earlier run in it are removed, those of
-            others are refused.
+    `folder`: created if it is missing; models of an earlier run in it are removed, those of others
+    are refused.
     """
 
     def __init__(self, folder: Path) -> None:

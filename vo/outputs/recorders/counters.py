@@ -41,10 +41,8 @@ class Counters:
     def final_text(self, tracked: int, path_length: float, errors: Mapping[str, Floats]) -> str:
         """Text at the end of the run.
 
-        Args:
-            tracked: number of frames with a smoothed pose.
-            path_length: of the smoothed path.
-            errors: position errors of each path against the ground truth, where known.
+        `tracked`: number of frames with a smoothed pose. `errors`: position errors of each path
+        against the ground truth, where known.
         """
         frames = sum(self.states.values())
         unit = "m" if self.rig.is_metric else "map units"

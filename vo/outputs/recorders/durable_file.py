@@ -9,8 +9,7 @@ from pathlib import Path
 class DurableFile:
     """An unbuffered file that can be cut back to its last complete part, as on a full disk.
 
-    Args:
-        path: the file; an existing one is replaced.
+    `path`: the file; an existing one is replaced.
 
     Raises:
         OSError: here and in every method but `cut`: the file cannot be written.

@@ -17,15 +17,11 @@ def epipolar_lines(
 ) -> Floats:
     """Epipolar lines of pixels of the last frame, in this frame's image0.
 
-    Args:
-        view: of this frame.
-        previous_xy: (n, 2) pixels in the last frame's image0.
-        world_from_previous: (4, 4) of cam0 in the last frame.
-        world_from_cam0: (4, 4) of cam0 in this frame.
+    `previous_xy`: (n, 2) pixels in the last frame's image0. `world_from_previous`: (4, 4) of cam0
+    in the last frame. `world_from_cam0`: (4, 4) of cam0 in this frame.
 
-    Returns:
-        (n, k, 2) pixels: ends of a line, or points on a curve with lens distortion. Points
-        behind the camera have no line; without camera motion there are no lines.
+    Returns (n, k, 2) pixels: ends of a line, or points on a curve with lens distortion. Points
+    behind the camera have no line; without camera motion there are no lines.
     """
     cam0_from_image0 = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
     world_from_image0 = world_from_cam0 @ cam0_from_image0

@@ -60,10 +60,7 @@ class Exports:
 def with_exports(recorder: Recorder, exports: Exports, *, may_drop: bool = False) -> Recorder:
     """A recorder, together with those of the exports in a separate thread.
 
-    Args:
-        recorder: the recorder.
-        exports: the exports.
-        may_drop: whether they may leave out frames, rather than let the run wait.
+    `may_drop`: whether they may leave out frames, rather than let the run wait.
     """
     others = exports.recorders()
     if not others:
@@ -76,8 +73,7 @@ def with_exports(recorder: Recorder, exports: Exports, *, may_drop: bool = False
 class SeveralRecorders:
     """Passes a run to several recorders; one that fails is removed.
 
-    Args:
-        recorders: any number of recorders.
+    `recorders`: any number of recorders.
     """
 
     def __init__(self, recorders: Sequence[Recorder]) -> None:

@@ -28,14 +28,8 @@ _EVERYWHERE = ("0.0.0.0", "::")
 class FileServer:
     """Context manager that serves a file.
 
-    Args:
-        file: the recording.
-        bind: address to listen on.
-        page_port: port of the viewer's page, on the same host.
-
-    Attributes:
-        port: the port.
-        path: path of the file in its address; it cannot be guessed.
+    `page_port`: port of the viewer's page, on the same host. `path`: path of the file in its
+    address; it cannot be guessed.
 
     Raises:
         OutputError: the address cannot be used.

@@ -47,12 +47,7 @@ class FrameLog:
     A chunk of the file ends after half a second at the latest: if the process is killed, what is in
     the file by then can be read. On a full disk the file ends with a complete chunk.
 
-    Attributes:
-        unrecorded: frames so far that were left out.
-
-    Args:
-        path: the file, which must not exist.
-        rig: the cameras.
+    `unrecorded`: frames so far that were left out. `path`: the file, which must not exist.
 
     Raises:
         OutputError: the file exists, its name does not end in `.mcap`, or it cannot be written.

@@ -39,9 +39,7 @@ class SmoothedPath:
     def update(self, changes: KeyframeChanges, poses: Mapping[int, KeyframePose]) -> list[Floats]:
         """The lines (2, 3) to newly settled keyframes.
 
-        Args:
-            changes: of this step.
-            poses: current poses by frame number.
+        `poses`: current poses by frame number.
         """
         if self._last is not None and changes.moves:
             self._last = poses[self._last.frame_index]

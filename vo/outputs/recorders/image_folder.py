@@ -20,8 +20,7 @@ _MAX_BYTES = 512 * 2**20
 class ImageFolder:
     """Writes images under their names in the recording.
 
-    Args:
-        folder: must exist; files of the same name are replaced.
+    `folder`: must exist; files of the same name are replaced.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -31,12 +30,9 @@ class ImageFolder:
     def add(self, frame_index: int, path: Path | None, image: Bytes, *, is_recorded: bool) -> str:
         """Write the image of a frame; its file name, without white space.
 
-        Args:
-            frame_index: number of the frame.
-            path: file of its recorded image, None without one.
-            image: the image to write.
-            is_recorded: whether `image` equals the recorded image, so that a colour image can be
-                copied instead.
+        `frame_index`: number of the frame. `path`: file of its recorded image, None without one.
+        `is_recorded`: whether `image` equals the recorded image, so that a colour image can be
+        copied instead.
 
         Raises:
             OSError: the file cannot be written, or the folder is that of the recording.

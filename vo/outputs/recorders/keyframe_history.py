@@ -12,19 +12,13 @@ from vo.base.types import Floats, KeyframePose, Snapshot
 
 
 class KeyframeChanges(NamedTuple):
-    """Changes of keyframe poses in one step.
+    """Changes of keyframe poses in one step."""
 
-    Attributes:
-        optimised: keyframes that were added, or moved by local optimisation.
-        settled: keyframes that have left the window, oldest first.
-        moves: of a step in which old keyframes were re-posed, as after a loop closure: the motion
-            (4, 4) of each of its keyframes in the world, by frame number; a similarity where the
-            scale of the keyframe has changed, too. It moves landmarks with their keyframe. Empty
-            for other steps.
-    """
-
-    optimised: Sequence[KeyframePose]
-    settled: Sequence[KeyframePose]
+    optimised: Sequence[KeyframePose]  # keyframes that were added, or moved by local optimisation
+    settled: Sequence[KeyframePose]  # keyframes that have left the window, oldest first
+    # of a step in which old keyframes were re-posed, as after a loop closure: the motion (4, 4) of
+    # each of its keyframes in the world, by frame number; a similarity where the scale of the
+    # keyframe has changed, too. It moves landmarks with their keyframe. Empty for other steps
     moves: Mapping[int, Floats]
 
 
@@ -35,8 +29,7 @@ class KeyframeHistory:
     the window are settled. A settled keyframe that has left the local map can still get a new
     pose: it is re-posed.
 
-    Attributes:
-        poses: by frame number.
+    `poses`: by frame number.
     """
 
     def __init__(self) -> None:
@@ -57,9 +50,7 @@ class KeyframeHistory:
     def update(self, keyframes: Sequence[KeyframePose], snapshot: Snapshot) -> KeyframeChanges:
         """Store keyframes that were added or moved.
 
-        Args:
-            keyframes: `Estimate.keyframes`.
-            snapshot: of the same frame.
+        `keyframes`: `Estimate.keyframes`.
         """
         reposed = self._reposed(keyframes, snapshot)
         moves = self._moves(keyframes) if reposed else {}

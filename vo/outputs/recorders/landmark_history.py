@@ -19,19 +19,12 @@ _MIN_RADIUS, _MAX_RADIUS, _STEPS = 0.9, 2.6, 4  # ui points, by uncertainty
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points to draw; row i of each array belongs together.
+    """Points to draw; row i of each array belongs together."""
 
-    Attributes:
-        xyz: (N, 3) in the world.
-        colours: (N,) uint32 RGBA.
-        radii: (N,) in ui points, negative as rerun requires.
-        keyframe: (N,) frame number of the last keyframe that observes the point, -1 if unknown.
-    """
-
-    xyz: Floats | Floats32
-    colours: NDArray[np.uint32]
-    radii: Floats32
-    keyframe: Ints
+    xyz: Floats | Floats32  # (N, 3) in the world
+    colours: NDArray[np.uint32]  # (N,) uint32 RGBA
+    radii: Floats32  # (N,) in ui points, negative as rerun requires
+    keyframe: Ints  # (N,) frame number of the last keyframe that observes the point, -1 if unknown
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -43,8 +36,7 @@ class Points:
     def moved(self, moves: Mapping[int, Floats]) -> Points:
         """The points, each moved with its keyframe.
 
-        Args:
-            moves: motions (4, 4) in the world by frame number of keyframes.
+        `moves`: motions (4, 4) in the world by frame number of keyframes.
         """
         xyz = self.xyz.copy()
         for frame in np.unique(self.keyframe).tolist():

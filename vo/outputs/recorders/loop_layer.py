@@ -22,9 +22,7 @@ class LoopLayer:
     A loop appears at the first frame whose pose it corrected, where the final path has its two
     keyframes. One to a keyframe of a loaded map is an event alone.
 
-    Args:
-        batch: receives the rows.
-        moments: of the recorded frames, by number.
+    `moments`: of the recorded frames, by number.
     """
 
     def __init__(self, batch: Batch, moments: Mapping[int, Moment]) -> None:
@@ -36,10 +34,7 @@ class LoopLayer:
     ) -> None:
         """Log lines and events.
 
-        Args:
-            closures: what was closed.
-            smoothed: the path after all loops.
-            odometry: the path before them, divided by segments.
+        `smoothed`: the path after all loops. `odometry`: the path before them, divided by segments.
         """
         style = rr.LineStrips3D.from_fields(
             colors=[entities.YELLOW], radii=rr.Radius.ui_points(1.5)

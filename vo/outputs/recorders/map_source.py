@@ -12,23 +12,14 @@ from vo.outputs.recorders.map_spool import LandmarkRows, MapSpool
 
 @dataclass(frozen=True, eq=False)
 class MapSource:
-    """Observations and landmarks on disk, and those of the present map.
+    """Observations and landmarks on disk, and those of the present map."""
 
-    Attributes:
-        spool: what has left the map.
-        landmarks: the map.
-        rows: its landmarks as in the spool.
-        poses: frames (K,) of all keyframes, and their poses (K, 4, 4).
-        scales: (K,) lengths in the world of one unit of the rows of their landmarks.
-        scale: factor of all lengths that are given out.
-    """
-
-    spool: MapSpool
+    spool: MapSpool  # what has left the map
     landmarks: Landmarks
     rows: LandmarkRows
-    poses: tuple[Ints, Floats]
-    scales: Floats
-    scale: float = 1.0
+    poses: tuple[Ints, Floats]  # frames (K,) of all keyframes, and their poses (K, 4, 4)
+    scales: Floats  # (K,) lengths in the world of one unit of the rows of their landmarks
+    scale: float = 1.0  # factor of all lengths that are given out
 
     def world_from_cam0(self, frames: Ints) -> Floats:
         """Poses (N, 4, 4) of keyframes."""

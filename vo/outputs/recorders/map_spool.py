@@ -28,8 +28,7 @@ _MAX_GAP = 4096  # rows that are read rather than skipped
 class MapSpool:
     """Two files without names, which vanish with the process.
 
-    Args:
-        folder: where the files are; None for the folder of temporary files.
+    `folder`: where the files are; None for the folder of temporary files.
 
     Raises:
         OSError: here and in every method: the files cannot be written or read.

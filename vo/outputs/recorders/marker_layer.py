@@ -18,10 +18,8 @@ _RADIUS = 1.5  # ui points
 class MarkerLayer:
     """Draws the markers of a run at its end.
 
-    Args:
-        batch: receives the rows.
-        moments: of the recorded frames, by number.
-        image_scale: size of recorded images relative to those of the run.
+    `moments`: of the recorded frames, by number. `image_scale`: size of recorded images relative to
+    those of the run.
     """
 
     def __init__(self, batch: Batch, moments: Mapping[int, Moment], image_scale: float) -> None:

@@ -67,8 +67,7 @@ class McapRecorder:
     A chunk ends after half a second at the latest: if the run is killed, what is in the file by
     then can be read. On a full disk the file ends with a complete chunk.
 
-    Args:
-        path: the file; an existing one is replaced.
+    `path`: the file; an existing one is replaced.
     """
 
     def __init__(self, path: Path) -> None:

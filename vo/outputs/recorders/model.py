@@ -18,39 +18,23 @@ _TRACKS_AT_ONCE = 50_000  # observations that wait for the last one of their poi
 
 
 class ImageObservations(NamedTuple):
-    """Observations of one keyframe.
+    """Observations of one keyframe."""
 
-    Attributes:
-        keyframe: row of the keyframe in its model.
-        point: (N,) numbers of the points, from 0.
-        xy: (N, 2) pixels in the keyframe's `View.image0`.
-    """
-
-    keyframe: int
-    point: Ints
-    xy: Floats
+    keyframe: int  # row of the keyframe in its model
+    point: Ints  # (N,) numbers of the points, from 0
+    xy: Floats  # (N, 2) pixels in the keyframe's `View.image0`
 
 
 class PointTracks(NamedTuple):
-    """Points of a model with all their observations; M points, N observations.
+    """Points of a model with all their observations; M points, N observations."""
 
-    Attributes:
-        number: (M,) from 0, increasing.
-        xyz: (M, 3) in the world.
-        grey: (M,) grey levels.
-        error_px: (M,) mean distance between projection and observations.
-        first: (M + 1,) where the observations of each point begin.
-        keyframe: (N,) rows of the observing keyframes in the model, increasing for each point.
-        in_image: (N,) rows in `ImageObservations` of that keyframe.
-    """
-
-    number: Ints
-    xyz: Floats
-    grey: Bytes
-    error_px: Floats
-    first: Ints
-    keyframe: Ints
-    in_image: Ints
+    number: Ints  # (M,) from 0, increasing
+    xyz: Floats  # (M, 3) in the world
+    grey: Bytes  # (M,) grey levels
+    error_px: Floats  # (M,) mean distance between projection and observations
+    first: Ints  # (M + 1,) where the observations of each point begin
+    keyframe: Ints  # (N,) rows of the observing keyframes in the model, increasing for each point
+    in_image: Ints  # (N,) rows in `ImageObservations` of that keyframe
 
 
 class _Observations(NamedTuple):
@@ -78,11 +62,9 @@ _NOTHING = _Observations(*(np.empty(0, np.int64) for _ in range(3)))
 class Model:
     """Keyframes and points of one segment, read from disk keyframe by keyframe.
 
-    Attributes:
-        camera: of `View.image0`.
-        frame_index: (K,) numbers of the keyframes' frames.
-        world_from_image0: (K, 4, 4) poses of the camera of `View.image0`.
-        point_count: number of points.
+    `camera`: of `View.image0`. `frame_index`: (K,) numbers of the keyframes' frames.
+    `world_from_image0`: (K, 4, 4) poses of the camera of `View.image0`. `point_count`: number of
+    points.
     """
 
     def __init__(

@@ -22,9 +22,7 @@ class PipedFile:
 
     After a failure it continues to read, and discards the data; the file ends with a whole message.
 
-    Attributes:
-        pipe_path: path for rerun to write to.
-        error: of writing, None without one.
+    `pipe_path`: path for rerun to write to. `error`: of writing, None without one.
     """
 
     def __init__(self, path: Path) -> None:

@@ -17,8 +17,7 @@ from vo.recordings.formats.ply import write_ply
 class PlyRecorder:
     """Writes all points that were in the map, again and again during the run, and at its end.
 
-    Args:
-        path: the file; an existing one is replaced.
+    `path`: the file; an existing one is replaced.
     """
 
     def __init__(self, path: Path) -> None:

@@ -40,8 +40,7 @@ _NO_MAP = Landmarks(np.empty(0, np.int64), np.empty((0, 3)))
 class Reconstruction:
     """All keyframes and landmarks that were in the map.
 
-    Args:
-        folder: folder for temporary files; None for the system's.
+    `folder`: folder for temporary files; None for the system's.
 
     Raises:
         OSError: here and in every method: the temporary files cannot be written or read.
@@ -75,11 +74,10 @@ class Reconstruction:
     ) -> list[Model]:
         """A model for each world, the one with most keyframes first.
 
-        Args:
-            smoothed: the final path; points move with the last keyframe that observes them.
-            frames: if given, only keyframes of these frames are used.
-            scales: by segment, to convert the model to metres.
-            closures: loops that connected segments; without any, each segment is a world.
+        `smoothed`: the final path; points move with the last keyframe that observes them. `frames`:
+        if given, only keyframes of these frames are used. `scales`: by segment, to convert the
+        model to metres. `closures`: loops that connected segments; without any, each segment is a
+        world.
         """
         if self._camera is None:
             return []

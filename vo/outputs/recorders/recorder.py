@@ -43,20 +43,15 @@ class ScaledRecorder(Protocol):
 
 
 class LoopClosures(NamedTuple):
-    """Loops of a run, and its path before them.
-
-    Attributes:
-        loops: all that were closed.
-        relocalisations: all segments whose place in an older world was found.
-        odometry: the path before any loop, each segment in its own frame.
-        worlds: number of the world of each segment that was connected to another one.
-        scales: length in the world of one unit of odometry, by frame number of each keyframe.
-    """
+    """Loops of a run, and its path before them."""
 
     loops: tuple[ClosedLoop, ...]
+    # all segments whose place in an older world was found
     relocalisations: tuple[Relocalisation, ...]
-    odometry: Trajectory
+    odometry: Trajectory  # the path before any loop, each segment in its own frame
+    # number of the world of each segment that was connected to another one
     worlds: Mapping[int, int]
+    # length in the world of one unit of odometry, by frame number of each keyframe
     scales: Mapping[int, float]
 
 

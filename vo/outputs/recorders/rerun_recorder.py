@@ -38,10 +38,8 @@ class RerunRecorder:
     If the run is killed, the file is valid up to the last seconds. A full disk or a closed viewer
     ends the recording with a warning, not the run.
 
-    Args:
-        path: the file to write, None for none; an existing one is replaced.
-        images: size of the recorded images.
-        viewer: URL of a running viewer, None for none.
+    `path`: the file to write, None for none; an existing one is replaced. `viewer`: URL of a
+    running viewer, None for none.
     """
 
     def __init__(

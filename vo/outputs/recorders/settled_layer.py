@@ -27,9 +27,7 @@ _SHOWN_SIGMAS = 10.0  # one sigma would be too small to be visible
 class SettledLayer:
     """Logs keyframes that have left the window, and landmarks that have left the local map.
 
-    Args:
-        batch: receives the rows.
-        poses: the current poses of all keyframes by frame number.
+    `poses`: the current poses of all keyframes by frame number.
     """
 
     def __init__(self, batch: Batch, poses: Mapping[int, KeyframePose]) -> None:
@@ -77,10 +75,7 @@ class SettledLayer:
     ) -> None:
         """Log the final path, one strip per segment, instead of the growing one.
 
-        Args:
-            moment: of the last frame.
-            window: keyframes that have not settled.
-            pieces: the final path of each segment.
+        `window`: keyframes that have not settled.
         """
         self.add_keyframes(moment, window, [])
         self.log_changed_chunks(moment)

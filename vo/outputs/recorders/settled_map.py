@@ -16,20 +16,12 @@ _KEYFRAMES_PER_CHUNK = 32  # more make each growth of the newest chunk larger, f
 
 
 class ChunkContent(NamedTuple):
-    """One chunk of the settled map at its current place.
+    """One chunk of the settled map at its current place."""
 
-    Attributes:
-        number: from 0, in order of time.
-        moment: of its newest keyframe or landmark.
-        keyframes: its settled keyframes, oldest first.
-        strips: the path (N, 3) through them, from the chunk before on; one per segment.
-        points: its landmarks.
-    """
-
-    number: int
-    moment: Moment
+    number: int  # from 0, in order of time
+    moment: Moment  # of its newest keyframe or landmark
     keyframes: list[KeyframePose]
-    strips: list[Floats]
+    strips: list[Floats]  # the path (N, 3) through them, from the chunk before on; one per segment
     points: Points
 
 
@@ -43,8 +35,7 @@ class _Chunk:
 class SettledMap:
     """What has left the window and the local map.
 
-    Args:
-        poses: the current poses of all keyframes by frame number.
+    `poses`: the current poses of all keyframes by frame number.
     """
 
     def __init__(self, poses: Mapping[int, KeyframePose]) -> None:

@@ -62,9 +62,7 @@ class RunIndex:
     def by_world(self, trajectory: Trajectory, worlds: Mapping[int, int]) -> list[Trajectory]:
         """A trajectory as `by_segment`, with the segments of each world together.
 
-        Args:
-            trajectory: to be divided.
-            worlds: number of the world of each segment that was connected to another one.
+        `worlds`: number of the world of each segment that was connected to another one.
         """
         found: dict[int, list[Trajectory]] = {}
         for segment, piece in self._pieces(trajectory):

@@ -28,13 +28,8 @@ class ViewLayer:
     In rerun, (0, 0) is the corner of the top-left pixel, in this project its centre; hence the
     offsets of half a pixel.
 
-    Attributes:
-        scale: size of the recorded images relative to those of the run.
-
-    Args:
-        batch: receives the rows.
-        images: size of the recorded images.
-        has_right: whether there are images of a right camera.
+    `scale`: size of the recorded images relative to those of the run. `has_right`: whether there
+    are images of a right camera.
     """
 
     def __init__(self, batch: Batch, images: ImageChoice, *, has_right: bool) -> None:

@@ -78,9 +78,7 @@ def check_viewer(url: str) -> None:
 class ViewerProcess:
     """A viewer process started by this program.
 
-    Attributes:
-        url: address to stream data to.
-        page: address for a browser; None for a native viewer.
+    `url`: address to stream data to. `page`: address for a browser; None for a native viewer.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], port: int, page: str | None) -> None:
@@ -131,9 +129,8 @@ def start_native(file: Path | None = None) -> ViewerProcess:
 def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
     """Serve the web viewer, for data that are streamed to it.
 
-    Args:
-        port: of the web page; 0 selects a free one.
-        bind: address to listen on; `0.0.0.0` is reachable from other machines.
+    `port`: of the web page; 0 selects a free one. `bind`: address to listen on; `0.0.0.0` is
+    reachable from other machines.
 
     Raises:
         OutputError: the server does not start.

@@ -29,33 +29,20 @@ class Thumbnail:
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A run in a report.
-
-    Attributes:
-        name: short, unique in the report.
-        number: index in the report, which determines the colour.
-        run: its results.
-        evaluation: against the ground truth, None without one.
-        truth: the whole ground truth, None without one.
-        truth_note: source of the ground truth, or the reason why there is none.
-        notes: remarks on the evaluation.
-        thumbnails: images of frames with events.
-        zero_ns: stamp of time 0 in the plots.
-        others: evaluations of the other segments than the longest, each aligned separately.
-        causal_ate_m: root mean square of the position error of the causal path, aligned
-            separately; None if unknown.
-    """
+    """A run in a report."""
 
     name: str
-    number: int
+    number: int  # index in the report, which determines the colour
     run: RunRecord
-    evaluation: Evaluation | None = None
-    truth: Trajectory | None = None
-    truth_note: str = ""
+    evaluation: Evaluation | None = None  # against the ground truth, None without one
+    truth: Trajectory | None = None  # the whole ground truth, None without one
+    truth_note: str = ""  # source of the ground truth, or the reason why there is none
     notes: tuple[str, ...] = ()
-    thumbnails: tuple[Thumbnail, ...] = ()
-    zero_ns: int = 0
+    thumbnails: tuple[Thumbnail, ...] = ()  # images of frames with events
+    zero_ns: int = 0  # stamp of time 0 in the plots
+    # evaluations of the other segments than the longest, each aligned separately
     others: tuple[Evaluation, ...] = ()
+    # root mean square of the position error of the causal path, aligned separately; None if unknown
     causal_ate_m: float | None = None
 
     @property

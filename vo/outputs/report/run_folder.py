@@ -54,57 +54,34 @@ class Sigmas:
 
 
 class MappedMarker(NamedTuple):
-    """A row of `markers.csv`; lengths in metres, in the world of the path.
+    """A row of `markers.csv`; lengths in metres, in the world of the path."""
 
-    Attributes:
-        segment: number of the world.
-        id: of the marker.
-        position: of its middle.
-        sigma_m: standard deviation of the position.
-        views: number of frames that show it.
-        first_frame: number of the first of them.
-        last_frame: number of the last one.
-        error: RMS distance of its corners from their prediction, in standard deviations.
-    """
-
-    segment: int
+    segment: int  # number of the world
     id: int
     position: tuple[float, float, float]
-    sigma_m: float
-    views: int
-    first_frame: int
-    last_frame: int
-    error: float
+    sigma_m: float  # standard deviation of the position
+    views: int  # number of frames that show it
+    first_frame: int  # number of the first of them
+    last_frame: int  # number of the last one
+    error: float  # RMS distance of its corners from their prediction, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class RunRecord:
-    """Results of a run.
-
-    Attributes:
-        path: its folder.
-        summary: `summary.json`.
-        config: `config.yaml` as text, empty if missing.
-        trajectory: the smoothed path, possibly empty.
-        worlds: stamps (N,) in `poses.csv` and the number (N,) of the segment of each, where merged
-            segments have one number; possibly empty.
-        causal: the causal path with predicted poses of lost frames, possibly empty.
-        odometry: the path before loops, empty without any.
-        frames: None if `frames.csv` is missing.
-        sigmas: None without covariances.
-        markers: where they are, empty without any.
-    """
+    """Results of a run."""
 
     path: Path
-    summary: Mapping[str, Any]
-    config: str
-    trajectory: Trajectory
+    summary: Mapping[str, Any]  # `summary.json`
+    config: str  # `config.yaml` as text, empty if missing
+    trajectory: Trajectory  # the smoothed path, possibly empty
+    # stamps (N,) in `poses.csv` and the number (N,) of the segment of each, where merged segments
+    # have one number; possibly empty
     worlds: tuple[Ints, Ints]
-    causal: Trajectory
-    odometry: Trajectory
-    frames: FrameTable | None
-    sigmas: Sigmas | None
-    markers: tuple[MappedMarker, ...] = ()
+    causal: Trajectory  # the causal path with predicted poses of lost frames, possibly empty
+    odometry: Trajectory  # the path before loops, empty without any
+    frames: FrameTable | None  # None if `frames.csv` is missing
+    sigmas: Sigmas | None  # None without covariances
+    markers: tuple[MappedMarker, ...] = ()  # where they are, empty without any
 
     @property
     def unit(self) -> str:

@@ -12,9 +12,8 @@ from vo.base.files.bounded_documents import load_yaml
 def changed_settings(texts: Sequence[str], defaults: Config) -> dict[str, list[str]]:
     """Values of each run by `section.key`, for settings that differ from the default in any run.
 
-    Args:
-        texts: `config.yaml` of each run; an invalid one has no values.
-        defaults: the default settings.
+    `texts`: `config.yaml` of each run; an invalid one has no values. `defaults`: the default
+    settings.
     """
     default_values = dict(_flat(defaults.model_dump(mode="json")))
     found = [dict(_flat(_parsed(text))) for text in texts]

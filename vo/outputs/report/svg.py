@@ -29,10 +29,8 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
     """A figure as an `<svg>` element.
 
-    Args:
-        figure: drawn inside `style.drawing`.
-        prefix: prefix of its ids, unique in the page.
-        caption: text for screen readers.
+    `figure`: drawn inside `style.drawing`. `prefix`: prefix of its ids, unique in the page.
+    `caption`: text for screen readers.
     """
     import matplotlib
 

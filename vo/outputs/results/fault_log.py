@@ -17,25 +17,15 @@ _OF_TRACKING = (
 
 
 class FaultRecord(NamedTuple):
-    """All faults of one kind in a run.
-
-    Attributes:
-        kind: what is wrong.
-        is_handled: whether all of them were handled, see `Fault`.
-        frames: number of frames with it; 0 for a fault of the whole recording.
-        first: number of the first frame with it, None for a fault of the whole recording.
-        last: number of the last frame with it, or None.
-        value: of the largest magnitude, in the unit of its message.
-        place: where the one of this value lies in the image; empty if that does not apply.
-    """
+    """All faults of one kind in a run."""
 
     kind: FaultKind
-    is_handled: bool
-    frames: int
-    first: int | None
-    last: int | None
-    value: float
-    place: str = ""
+    is_handled: bool  # whether all of them were handled, see `Fault`
+    frames: int  # number of frames with it; 0 for a fault of the whole recording
+    first: int | None  # number of the first frame with it, None for a fault of the whole recording
+    last: int | None  # number of the last frame with it, or None
+    value: float  # of the largest magnitude, in the unit of its message
+    place: str = ""  # where the one of this value lies in the image; empty if that does not apply
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

@@ -37,17 +37,11 @@ PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 class RunFolder:
     """The files that a run writes while it goes on.
 
-    Attributes:
-        path: the folder.
-        trajectory: smoothed poses, one line per frame.
-        causal: poses as known when their frame was tracked.
-        poses: smoothed poses, with number, segment and kind of their frame.
-        covariance: one line per keyframe.
-        frames: one line per frame, as known when it was processed.
-
-    Args:
-        path: the folder; created if it is missing; files of an earlier run are removed.
-        config: the merged settings as YAML.
+    `trajectory`: smoothed poses, one line per frame. `causal`: poses as known when their frame was
+    tracked. `poses`: smoothed poses, with number, segment and kind of their frame. `covariance`:
+    one line per keyframe. `frames`: one line per frame, as known when it was processed. `path`: the
+    folder; created if it is missing; files of an earlier run are removed. `config`: the merged
+    settings as YAML.
 
     Raises:
         OutputError: here and in every method: a file cannot be written.

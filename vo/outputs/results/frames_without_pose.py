@@ -15,23 +15,14 @@ _SKIPPED, _UNTRACKED = "skipped", "untracked"
 
 
 class FrameRange(NamedTuple):
-    """Consecutive frames without a pose, with the reason of the last of them.
+    """Consecutive frames without a pose, with the reason of the last of them."""
 
-    Attributes:
-        first: number of the first frame.
-        last: number of the last frame.
-        frames: number of frames.
-        state: of the odometry, or `skipped`, or `untracked`.
-        reason: of the last frame, as text.
-        defect: of their images, None without one.
-    """
-
-    first: int
-    last: int
-    frames: int
-    state: str
+    first: int  # number of the first frame
+    last: int  # number of the last frame
+    frames: int  # number of frames
+    state: str  # of the odometry, or `skipped`, or `untracked`
     reason: str
-    defect: ImageDefect | None = None
+    defect: ImageDefect | None = None  # of their images, None without one
 
 
 def ranges_without_pose(
@@ -41,11 +32,8 @@ def ranges_without_pose(
 
     A frame without a causal pose may have a smoothed one: the first of a monocular initial pair.
 
-    Args:
-        statistics: of the run.
-        with_pose: numbers of the frames that have a pose.
-        skipped: frames that could not be read.
-        untracked: numbers of the frames that `tracking.every` left out.
+    `with_pose`: numbers of the frames that have a pose. `skipped`: frames that could not be read.
+    `untracked`: numbers of the frames that `tracking.every` left out.
     """
     unreadable = {each.index: each.reason for each in skipped}
     left_out = set(untracked.tolist())

@@ -18,9 +18,7 @@ class GrowingFile:
 
     Every line is on disk when a method returns, so that it survives a killed process.
 
-    Args:
-        path: the final name.
-        heading: first line, not counted as a row; empty for none.
+    `heading`: first line, not counted as a row; empty for none.
 
     Raises:
         OutputError: here and in every method: the file cannot be written.

@@ -11,16 +11,11 @@ from vo.base.failures import Gap
 
 
 class LiveState(NamedTuple):
-    """A live source as far as it has come.
+    """A live source as far as it has come."""
 
-    Attributes:
-        dropped: images that were left out, because newer ones came before they could be tracked.
-        gaps: times without images, because the connection was lost.
-        unrecorded: tracked frames that `--record` has left out; None without `--record`.
-    """
-
-    dropped: int
-    gaps: tuple[Gap, ...] = ()
+    dropped: int  # images that were left out, because newer ones came before they could be tracked
+    gaps: tuple[Gap, ...] = ()  # times without images, because the connection was lost
+    # tracked frames that `--record` has left out; None without `--record`
     unrecorded: int | None = None
 
 

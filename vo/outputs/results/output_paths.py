@@ -18,10 +18,8 @@ def refuse_to_overwrite(inputs: Iterable[Path | None], outputs: Iterable[Path | 
     Nothing is written in a recording that is a folder. The folder of an earlier run is no part of
     a recording, even if it is inside of one.
 
-    Args:
-        inputs: recording (a folder, a file or a pattern of files), calibration; None and missing
-            files are ignored.
-        outputs: files and folders to write; None is ignored.
+    `inputs`: recording (a folder, a file or a pattern of files), calibration; None and missing
+    files are ignored. `outputs`: files and folders to write; None is ignored.
 
     Raises:
         OutputError: an output is an input, or in a folder that is an input.
@@ -71,9 +69,7 @@ def is_run_folder(folder: Path) -> bool:
 def refuse_to_collide(folder: Path, outputs: Iterable[Path | None]) -> None:
     """Check that the outputs of a run differ from its results and from each other.
 
-    Args:
-        folder: folder of the results.
-        outputs: other files to write; None is ignored.
+    `outputs`: other files to write; None is ignored.
 
     Raises:
         OutputError: two of them are the same file.

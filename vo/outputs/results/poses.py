@@ -14,10 +14,8 @@ POSES_HEADING = "frame,stamp_ns,segment,keyframe,interpolated,tx,ty,tz,qx,qy,qz,
 def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterator[str]:
     """Rows under `POSES_HEADING`; `interpolated` is 2, 3 for poses by an inertial sensor.
 
-    Args:
-        placed: the frames.
-        fields: numbers of each pose as in a TUM file
-            (`vo.recordings.formats.trajectory.pose_fields`).
+    `fields`: numbers of each pose as in a TUM file
+    (`vo.recordings.formats.trajectory.pose_fields`).
     """
     interpolated = placed.interpolated.astype(int)
     if placed.inertial is not None:

@@ -7,14 +7,10 @@ from typing import NamedTuple
 
 
 class Profile(NamedTuple):
-    """Wall time of the main thread.
-
-    Attributes:
-        wall_ms: the whole run.
-        stages_ms: by stage, adding up to `wall_ms`; time outside of all stages is `other`.
-    """
+    """Wall time of the main thread."""
 
     wall_ms: float
+    # by stage, adding up to `wall_ms`; time outside of all stages is `other`
     stages_ms: Mapping[str, float]
 
 

@@ -14,8 +14,7 @@ class ReservedSpace:
 
     Nothing is reserved where the system does not support such files.
 
-    Args:
-        folder: where the file will be.
+    `folder`: where the file will be.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -26,10 +25,8 @@ class ReservedSpace:
     def write(self, path: Path, partial: Path, data: bytes) -> bool:
         """Write a file into the reserved space; whether there was space.
 
-        Args:
-            path: its name, in the folder; an existing file is replaced.
-            partial: its name before it is complete.
-            data: its content.
+        `path`: its name, in the folder; an existing file is replaced. `partial`: its name before it
+        is complete.
         """
         if self._file is None:
             return False

@@ -32,11 +32,8 @@ class StageTime(NamedTuple):
 class RunStatistics:
     """Statistics over the processed frames.
 
-    Attributes:
-        frames: numbers of the processed frames, in time order.
-        without_pose: frames without a causal pose, by number.
-        landmarks: number of landmarks that have been in the map so far.
-        faults: faults of the recording, by kind.
+    `frames`: numbers of the processed frames, in time order. `without_pose`: frames without a
+    causal pose, by number. `landmarks`: number of landmarks that have been in the map so far.
     """
 
     def __init__(self) -> None:

@@ -14,41 +14,24 @@ _MAX_OFFSET_PX = 0.2
 
 
 class VerdictFacts(NamedTuple):
-    """What a verdict depends on.
+    """What a verdict depends on."""
 
-    Attributes:
-        status: how the run ended: `finished`, `interrupted` or `failed`.
-        frames: number of frames.
-        posed: number of frames with a pose.
-        segments: number of connected parts of the path.
-        median_inliers: over the tracked frames, None without one.
-        has_open_fault: whether a fault was found that was not handled.
-        disparity_offset_px: bias of disparities that was corrected.
-        has_warnings: whether there are warnings.
-    """
-
-    status: str
-    frames: int
-    posed: int
-    segments: int
-    median_inliers: float | None
-    has_open_fault: bool
-    disparity_offset_px: float
-    has_warnings: bool
+    status: str  # how the run ended: `finished`, `interrupted` or `failed`
+    frames: int  # number of frames
+    posed: int  # number of frames with a pose
+    segments: int  # number of connected parts of the path
+    median_inliers: float | None  # over the tracked frames, None without one
+    has_open_fault: bool  # whether a fault was found that was not handled
+    disparity_offset_px: float  # bias of disparities that was corrected
+    has_warnings: bool  # whether there are warnings
 
 
 class Verdict(NamedTuple):
-    """Quality of a run.
-
-    Attributes:
-        grade: colour of the word.
-        word: for tables and files.
-        is_trusted: whether the poses that there are can be relied on.
-    """
+    """Quality of a run."""
 
     grade: Grade
     word: str
-    is_trusted: bool
+    is_trusted: bool  # whether the poses that there are can be relied on
 
 
 def assess(facts: VerdictFacts) -> Verdict:

@@ -120,13 +120,10 @@ def calibration_warnings(
 ) -> list[str]:
     """One warning for each error of the calibration that has been corrected.
 
-    Args:
-        right_camera: None without an error.
-        lens: None without an error.
-        offset_px: constant bias of the disparities.
-        curve_px: their bias at one focal length from the principal point.
-        open_faults: kinds of faults that were not handled; a correction that was made beside one is
-            no correction.
+    `right_camera`: None without an error. `lens`: None without an error. `offset_px`: constant bias
+    of the disparities. `curve_px`: their bias at one focal length from the principal point.
+    `open_faults`: kinds of faults that were not handled; a correction that was made beside one is
+    no correction.
     """
     warnings = []
     if FaultKind.RIGHT_TIME_OFFSET in open_faults:  # which looks like a wrong calibration
@@ -147,9 +144,7 @@ def calibration_warnings(
 def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
     """A warning if parts of the path are not in the world of the loaded map.
 
-    Args:
-        use: the loaded map, None without one.
-        segments: numbers of the worlds of the run.
+    `use`: the loaded map, None without one. `segments`: numbers of the worlds of the run.
     """
     if use is None or not segments:
         return []
@@ -165,10 +160,8 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
 def inertial_warnings(use: InertialUse | None, poses: int = 0, orientations: int = 0) -> list[str]:
     """A warning if an inertial sensor is wrong, or its time offset, or if it gave poses alone.
 
-    Args:
-        use: the sensor, None without one.
-        poses: frames with a pose by the sensor alone.
-        orientations: frames with an orientation by it, and without a position.
+    `use`: the sensor, None without one. `orientations`: frames with an orientation by it, and
+    without a position.
     """
     if use is None:
         return []

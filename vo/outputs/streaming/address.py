@@ -16,9 +16,8 @@ _FOXGLOVE_PORT = 8765
 def open_address(address: str) -> PoseSink:
     """Open an output.
 
-    Args:
-        address: `-` for standard output, `udp://HOST:PORT` to send datagrams, `ws://HOST:PORT` to
-            serve Foxglove, where the host is 127.0.0.1 and the port 8765 if they are left out.
+    `address`: `-` for standard output, `udp://HOST:PORT` to send datagrams, `ws://HOST:PORT` to
+    serve Foxglove, where the host is 127.0.0.1 and the port 8765 if they are left out.
 
     Raises:
         OutputError: it is not such an address, or cannot be used.

@@ -37,13 +37,7 @@ class FoxgloveServer:
 
     Messages are sent by threads of the package, so that no client can make the run wait.
 
-    Args:
-        name: the address as given.
-        host: address of this machine to listen on.
-        port: to listen on; 0 for any free one.
-
-    Attributes:
-        port: the port.
+    `host`: address of this machine to listen on. `port`: to listen on; 0 for any free one.
 
     Raises:
         MissingExtraError: the package is not installed.

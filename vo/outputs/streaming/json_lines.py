@@ -17,9 +17,7 @@ class JsonLines:
     A reader that is too slow lets the run wait, so that it gets every pose. A live source does not
     wait: then poses are left out while the pipe is full.
 
-    Args:
-        file: where to write; it stays open.
-        name: what messages call it.
+    `file`: where to write; it stays open. `name`: what messages call it.
     """
 
     def __init__(self, file: IO[bytes], name: str = "standard output") -> None:

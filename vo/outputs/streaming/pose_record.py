@@ -20,9 +20,8 @@ SCHEMA_FILE = Path(__file__).with_name("pose_record.schema.json")
 class PoseRecords:
     """Makes the record of each frame; each of them can be understood without the others.
 
-    Args:
-        is_metric: whether all lengths are metres, not units of the map.
-        faults: of the whole recording; they are in the first record.
+    `is_metric`: whether all lengths are metres, not units of the map. `faults`: of the whole
+    recording; they are in the first record.
     """
 
     def __init__(self, *, is_metric: bool, faults: Sequence[Fault] = ()) -> None:
@@ -33,9 +32,7 @@ class PoseRecords:
     def record(self, estimate: Estimate, *, is_metric: bool = False) -> dict[str, Any]:
         """The record of a frame; call it for all frames, in their order.
 
-        Args:
-            estimate: of the frame.
-            is_metric: whether its lengths are metres, although not all are.
+        `is_metric`: whether its lengths are metres, although not all are.
         """
         self._update_covariance(estimate)
         faults = self._recording_faults + estimate.faults

@@ -8,27 +8,18 @@ from vo.base.types import Estimate
 
 
 class PoseUpdate(NamedTuple):
-    """A frame that was just tracked.
-
-    Attributes:
-        estimate: its result.
-        record: the same as JSON (docs/outputs.md), a single line without its end.
-        is_live: whether the source goes on while an output waits, which must not wait then.
-    """
+    """A frame that was just tracked."""
 
     estimate: Estimate
-    record: bytes
+    record: bytes  # the same as JSON (docs/outputs.md), a single line without its end
+    # whether the source goes on while an output waits, which must not wait then
     is_live: bool = False
 
 
 class PoseSink(Protocol):
-    """Receives the poses of a run.
+    """Receives the poses of a run."""
 
-    Attributes:
-        name: what messages call it.
-    """
-
-    name: str
+    name: str  # what messages call it
 
     def send(self, update: PoseUpdate) -> None:
         """Send one frame.

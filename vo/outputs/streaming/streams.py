@@ -20,8 +20,7 @@ _log = logging.getLogger(__name__)
 class PoseStreams:
     """Sends each frame to several outputs; one that fails is left out from then on.
 
-    Args:
-        sinks: any number of outputs.
+    `sinks`: any number of outputs.
     """
 
     def __init__(self, sinks: Sequence[PoseSink] = ()) -> None:
@@ -38,9 +37,7 @@ class PoseStreams:
     def send(self, estimate: Estimate, *, is_metric: bool = False) -> None:
         """Send one frame. Whatever happens, the run can finish the frame: see `check`.
 
-        Args:
-            estimate: of the frame.
-            is_metric: whether an inertial sensor has given its lengths the metre.
+        `is_metric`: whether an inertial sensor has given its lengths the metre.
         """
         if not self._sinks:
             return

@@ -12,8 +12,7 @@ _MAX_POSES = 2000
 class ThinnedPath:
     """Poses of a run at even intervals of frames, which double whenever there are too many.
 
-    Args:
-        max_poses: number of poses at which every second one is left out.
+    `max_poses`: number of poses at which every second one is left out.
     """
 
     def __init__(self, max_poses: int = _MAX_POSES) -> None:

@@ -15,10 +15,7 @@ _log = logging.getLogger(__name__)
 class UdpSender:
     """Sends one datagram for each frame; those that do not arrive are counted, where known.
 
-    Args:
-        name: the address as given.
-        host: name or address; IPv4 where it has both, as most programs listen there.
-        port: of the receiver.
+    `host`: name or address; IPv4 where it has both, as most programs listen there.
 
     Raises:
         OutputError: the host is unknown, or there is no route to it.
