@@ -31,7 +31,7 @@ from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.lookup import rows_of
 from vo.engine.mapping.tracked_frame import TrackedFrame
-from vo.engine.tracking.inertial_motion import PosePrior
+from vo.engine.tracking.motion_model import PosePrior
 from vo.engine.tracking.last_frame import LastFrame
 from vo.engine.trajectory.map_frame import Anchor
 

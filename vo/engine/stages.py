@@ -271,7 +271,7 @@ def _factors(
     components: Components, motion: MotionModel, predictor: InertialPredictor | None
 ) -> Sequence[FactorSource]:
     """Factors of the window beside the observations."""
-    if predictor is None or not isinstance(motion, InertialMotion):
+    if predictor is None:
         return components.factor_sources
     return [*components.factor_sources, GapFactors(motion, predictor)]
 

@@ -8,7 +8,7 @@ from vo.base.geometry.transforms import so3_log
 from vo.base.types import Floats
 from vo.engine.inertial.preintegration import rotation_of
 from vo.engine.inertial.samples import SampleReader
-from vo.engine.tracking.motion_model import ConstantVelocity
+from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
 
 _MEMORY = 50  # frames over which the bias is averaged
 _MIN_FRAMES = 10  # compared before the gyroscope is trusted
@@ -17,7 +17,7 @@ _FORGETTING = 0.95  # factor for each frame
 _MAX_ERROR_RATIO = 0.1
 
 
-class GyroMotion:
+class GyroMotion(MotionModel):
     """Turns as the gyroscope does, and moves on with the last velocity in the world.
 
     It predicts as with constant velocity where samples are missing, and until the rotations of
@@ -43,7 +43,7 @@ class GyroMotion:
 
     @property
     def last(self) -> Floats:
-        """Pose of the newest tracked frame, the identity before the first."""
+        """See `MotionModel.last`."""
         return self._visual.last
 
     @property
@@ -52,13 +52,13 @@ class GyroMotion:
         return self._count >= _MIN_FRAMES and self._missed < _MAX_ERROR_RATIO * self._turned
 
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Begin at a pose of unknown velocity."""
+        """See `MotionModel.restart`."""
         self._visual.restart(stamp_ns, world_from_cam)
         self._stamp_ns, self._velocity = stamp_ns, None
         self._predicted = self._turned_until = None
 
     def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Add the pose of a newly tracked frame."""
+        """See `MotionModel.update`."""
         before, last_ns = self._visual.last, self._stamp_ns
         if last_ns is not None and stamp_ns > last_ns:
             elapsed_s = 1e-9 * (stamp_ns - last_ns)
@@ -68,14 +68,14 @@ class GyroMotion:
         self._stamp_ns, self._predicted, self._turned_until = stamp_ns, None, None
 
     def move(self, motion: Floats) -> None:
-        """Follow the newest frame, which optimisation has moved by (4, 4) in the world."""
+        """See `MotionModel.move`."""
         if self._velocity is not None:
             self._velocity = motion[:3, :3] @ self._velocity
         self._visual.move(motion)
         self._predicted = None
 
     def predict(self, stamp_ns: int) -> Floats:
-        """Pose at a later time."""
+        """See `MotionModel.predict`."""
         if self._predicted is not None and self._predicted[0] == stamp_ns:
             return self._predicted[1]
         pose = None
@@ -91,12 +91,7 @@ class GyroMotion:
         return pose
 
     def rate(self, stamp_ns: int, readout_s: float) -> Floats | None:
-        """(3,) rad/s of the camera while the rows of an image are read; None if it is unknown.
-
-        Args:
-            stamp_ns: time of its middle row.
-            readout_s: time from its first to its last row.
-        """
+        """See `MotionModel.rate`."""
         half_ns = round(0.5e9 * readout_s)
         if not self.is_trusted or half_ns == 0:
             return None

@@ -2,16 +2,74 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
 from vo.base.types import Floats
+from vo.engine.inertial.prediction import KnownMotion
+
+_MAX_SQUARED = 10.0**2  # squared Mahalanobis distance of a measured pose from a predicted one
+
+
+class Gap(NamedTuple):
+    """Frames that were lost before one that was tracked.
+
+    Attributes:
+        first_ns: time of the tracked frame before them.
+        last_ns: time of the tracked frame after them.
+        known: motion before them.
+    """
+
+    first_ns: int
+    last_ns: int
+    known: KnownMotion
+
+
+class PosePrior(NamedTuple):
+    """A predicted pose and how certain it is.
+
+    Attributes:
+        world_from_cam: (4, 4).
+        information: (6, 6) tangent on the right, rotation first.
+    """
+
+    world_from_cam: Floats
+    information: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """(6, 6) as `information`."""
+        return np.asarray(np.linalg.inv(self.information), np.float64)
+
+    def fused(self, cam_from_world: Floats, information: Floats) -> Floats:
+        """cam_from_world (4, 4) of a measured pose and this one, weighted by their information.
+
+        Args:
+            cam_from_world: (4, 4) as measured.
+            information: (6, 6) of that, for exp(xi) @ cam_from_world.
+        """
+        off = se3_log(inverse(self.world_from_cam) @ inverse(cam_from_world))
+        # A tangent on the right of world_from_cam is the negative one on the left of its inverse.
+        weighted = self.information @ off
+        step = np.linalg.solve(information + self.information, weighted)
+        return np.asarray(se3_exp(np.asarray(step, np.float64)) @ cam_from_world)
+
+    def is_contradicted(self, cam_from_world: Floats, information: Floats) -> bool:
+        """Whether a measured pose with its information cannot be reconciled with this one."""
+        off = se3_log(inverse(self.world_from_cam) @ inverse(cam_from_world))
+        # The information on a difference: (A^-1 + B^-1)^-1 = A (A + B)^-1 B.
+        both = np.linalg.solve(information + self.information, information @ off)
+        return float(off @ self.information @ both) > _MAX_SQUARED
 
 
 class MotionModel(Protocol):
-    """Predicts the pose of the next frame. Poses are world_from_cam (4, 4)."""
+    """Predicts the pose of the next frame; poses are world_from_cam (4, 4).
+
+    What only an inertial sensor knows is unknown by default.
+    """
 
     @property
     def last(self) -> Floats:
@@ -34,8 +92,34 @@ class MotionModel(Protocol):
         """Pose at a later time."""
         ...
 
+    @property
+    def gaps(self) -> Sequence[Gap]:
+        """Lost frames between tracked ones of the local map through which a sensor predicts."""
+        return ()
 
-class ConstantVelocity:
+    def prior(self, stamp_ns: int) -> PosePrior | None:
+        """The pose of a frame after lost ones; None if no frame was lost or nothing is known."""
+        return None
+
+    def of_lost(self, stamp_ns: int) -> PosePrior | None:
+        """The pose of a frame that was not tracked, the first after a tracked one included."""
+        return None
+
+    def rate(self, stamp_ns: int, readout_s: float) -> Floats | None:
+        """(3,) rad/s of the camera while the rows of an image are read; None if it is unknown.
+
+        Args:
+            stamp_ns: time of its middle row.
+            readout_s: time from its first to its last row.
+        """
+        return None
+
+    def give_up(self) -> None:
+        """Predict nothing by a sensor until there is a new map."""
+        return
+
+
+class ConstantVelocity(MotionModel):
     """Continues with the velocity between the last two poses, for any time between frames."""
 
     def __init__(self) -> None:
@@ -47,16 +131,16 @@ class ConstantVelocity:
 
     @property
     def last(self) -> Floats:
-        """Pose of the newest tracked frame, the identity before the first."""
+        """See `MotionModel.last`."""
         return self._world_from_cam
 
     def restart(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Begin at a pose of unknown velocity."""
+        """See `MotionModel.restart`."""
         self._stamp_ns, self._world_from_cam = stamp_ns, world_from_cam
         self._moved = self._predicted = None
 
     def update(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Add the pose of a newly tracked frame."""
+        """See `MotionModel.update`."""
         elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
         if elapsed_s > 0:
             self._moved = inverse(self._world_from_cam) @ world_from_cam, elapsed_s
@@ -69,7 +153,7 @@ class ConstantVelocity:
         self._predicted = None
 
     def predict(self, stamp_ns: int) -> Floats:
-        """Pose at a later time."""
+        """See `MotionModel.predict`."""
         if self._moved is None:
             return self._world_from_cam
         if self._predicted is None or self._predicted[0] != stamp_ns:  # asked for several times

@@ -14,7 +14,6 @@ from vo.base.types import Floats
 from vo.engine.geometry.rolling_shutter import Velocity, at_middle_row, disparity_at_middle_row
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.tracked_frame import Observations
-from vo.engine.tracking.inertial_motion import InertialMotion
 from vo.engine.tracking.motion_model import MotionModel
 
 _MAX_STEP_NS = 500_000_000  # the mean velocity of a longer step says little of its end
@@ -107,9 +106,7 @@ class RollingShutter:
         return _Step(twist, self._last_ns + elapsed_ns // 2)
 
     def _with_gyro(self, stamp_ns: int, twist: Floats) -> Velocity:
-        angular, motion = None, self._motion
-        if isinstance(motion, InertialMotion):
-            angular = motion.rate(stamp_ns, self._readout_s)
+        angular = self._motion.rate(stamp_ns, self._readout_s)
         return Velocity(twist[:3] if angular is None else angular, twist[3:])
 
 

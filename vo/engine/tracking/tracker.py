@@ -26,12 +26,11 @@ from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.octaves import predicted_octave
 from vo.engine.mapping.tracked_frame import TrackedFrame
 from vo.engine.tracking.essential_matrix import EssentialMatrixFallback
-from vo.engine.tracking.inertial_motion import InertialMotion, PosePrior
 from vo.engine.tracking.klt_alignment import KltAligner
 from vo.engine.tracking.landmark_alignment import LandmarkAligner
 from vo.engine.tracking.last_frame import LastFrame, last_frame
 from vo.engine.tracking.map_agreement import MapAgreement
-from vo.engine.tracking.motion_model import MotionModel
+from vo.engine.tracking.motion_model import MotionModel, PosePrior
 from vo.engine.tracking.pose_estimation import PoseEstimator
 from vo.engine.tracking.rolling_shutter import RollingShutter
 from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
@@ -126,8 +125,7 @@ class Tracker:
     def forget_last_frame(self) -> None:
         """Forget the last frame, before a new segment."""
         self.last = None
-        if isinstance(self._motion, InertialMotion):
-            self._motion.give_up()
+        self._motion.give_up()
 
     def move(self, motion: Floats) -> None:
         """Follow the map's newest keyframe, which optimisation has moved by (4, 4)."""
@@ -147,8 +145,7 @@ class Tracker:
 
     def predicted(self, frame: PreprocessedFrame) -> PosePrior | None:
         """The pose of a frame that was not tracked, by an inertial sensor; None if unknown."""
-        motion = self._motion
-        return motion.of_lost(frame.stamp_ns) if isinstance(motion, InertialMotion) else None
+        return self._motion.of_lost(frame.stamp_ns)
 
     @timed("match")
     def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
@@ -234,7 +231,7 @@ class Tracker:
             enough = _MIN_SPARSE_RATIO * int(self.last.inlier.sum())
             yield _InitialPose(self._motion.last @ last_from_cam, enough)
         predicted = self._motion.predict(frame.stamp_ns)
-        if self._prior(frame) is not None:
+        if self._motion.prior(frame.stamp_ns) is not None:
             yield _InitialPose(predicted)
         pose = self.track_by_projection(frame, predicted, _RADII)
         if pose is not None:
@@ -321,7 +318,7 @@ class Tracker:
         self._map.found[observed.rows[fit.inlier]] += 1
         if int(fit.inlier.sum()) < self._min_inliers(in_view):
             return None
-        cam_from_world, prior = fit.cam_from_world, self._prior(frame)
+        cam_from_world, prior = fit.cam_from_world, self._motion.prior(frame.stamp_ns)
         if prior is not None:
             if prior.is_contradicted(cam_from_world, fit.information):
                 return None
@@ -329,11 +326,6 @@ class Tracker:
         ids = self._map.id[observed.rows]
         pose = inverse(cam_from_world)
         return TrackedFrame(pose, ids, observed, fit.inlier, in_view, velocity)
-
-    def _prior(self, frame: PreprocessedFrame) -> PosePrior | None:
-        """The pose by an inertial sensor of a frame after lost ones."""
-        motion = self._motion
-        return motion.prior(frame.stamp_ns) if isinstance(motion, InertialMotion) else None
 
     def _min_inliers(self, visible: int) -> float:
         """Minimum number of inliers; half as many where they are most of the landmarks in view."""

@@ -13,7 +13,7 @@ from vo.base.types import Floats, KeyframePose, PredictedPose
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import FrameId, Keyframe
 from vo.engine.places.records import PlacedKeyframes, PlaceKey
-from vo.engine.tracking.inertial_motion import PosePrior
+from vo.engine.tracking.motion_model import PosePrior
 from vo.engine.trajectory.inertial_frames import with_reference
 from vo.engine.trajectory.map_frame import Anchor, scaled_covariance
 from vo.engine.trajectory.store import TrajectoryStore
