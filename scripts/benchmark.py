@@ -19,9 +19,9 @@ from benchmark_run import Result, measure_case
 from benchmark_table import document, generator_document, reading_document, suite_document
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "benchmarks.md"
-FEATURES_PAGE = ROOT / "docs" / "features.md"
-LEARNED_PAGE = ROOT / "docs" / "learned.md"
+PAGE = ROOT / "docs" / "experiments" / "benchmark-tables.md"
+FEATURES_PAGE = ROOT / "docs" / "experiments" / "features-compared.md"
+LEARNED_PAGE = ROOT / "docs" / "experiments" / "learned-features.md"
 FEATURES_PLOT = ROOT / "docs" / "images" / "features.png"
 TUM_CALIBRATION = """\
 cam0:

@@ -1,4 +1,4 @@
-"""Detectors, descriptors and matchers on pairs of frames of known motion, for docs/features.md."""
+"""Detectors, descriptors and matchers on pairs of frames of known motion, for the docs."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def features_document(report: dict[str, Any]) -> str:
         f"{report['count']} features at most. {times}Methods are in order of the ratio of all "
         f"pairs with errors below 2°. {report['date']}, {report['machine']}, {report['versions']}."
     )
-    plot = "![Pairs with errors below 2° by method and gap, and CPU times](images/features.png)"
+    plot = "![Pairs with errors below 2° by method and gap, and CPU times](../images/features.png)"
     return "\n".join([*wrapped(words), "", plot, "", *lines])
 
 

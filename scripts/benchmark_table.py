@@ -1,4 +1,4 @@
-"""Sections of docs/benchmarks.md as Markdown."""
+"""Sections of docs/experiments/benchmark-tables.md as Markdown."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Errors of marker poses on rendered views with known poses, and false detections in images.
 
-`--write` puts the table into docs/markers.md; `--images FOLDER` counts markers in images that have
-none.
+`--write` puts the table into docs/experiments/marker-accuracy.md; `--images FOLDER` counts markers
+in images that have none.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LENGTH_M = 0.16
 NAME, COUNT = "4X4_50", 50
 DISTANCES_M = (0.3, 0.5, 1.0, 2.0, 3.0, 5.0)
 FLIPPED_DEG = 10.0
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "markers.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "experiments" / "marker-accuracy.md"
 BEGIN, END = "<!-- markers: begin -->\n", "<!-- markers: end -->"
 HEADING = """\
 | distance, m | corners | found | position, mm (median, 95 %) | angle, degrees (median, 95 %) | \
