@@ -20,12 +20,7 @@ class RawCalibration:
     """Values of a calibration message, unchecked.
 
     Attributes:
-        stamp_ns: stamp of the image that it belongs to.
-        frame: coordinate frame of the camera.
         size: width and height of the calibrated image, before binning.
-        model: name of the distortion model; may be empty.
-        d: distortion coefficients.
-        k: (9,) camera matrix, row by row.
         r: (9,) rotation into the rectified camera, or empty.
         p: (12,) projection of the rectified camera, or empty.
         binning: sensor pixels per image pixel, along u and v; 0 means 1.
@@ -45,11 +40,7 @@ class RawCalibration:
 
 
 def calibration_message(raw: RawCalibration) -> CalibrationMessage:
-    """Check the values of a message and convert them.
-
-    Raises:
-        CalibrationError: the camera was never calibrated, or a value is implausible.
-    """
+    """Check the values of a message and convert them."""
     if len(raw.k) != 9 or not any(raw.k):
         raise CalibrationError(
             f"calibration message of '{raw.frame}' is empty (K is zero): the camera was never "

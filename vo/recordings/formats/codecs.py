@@ -11,14 +11,8 @@ def find_codec(
 ) -> Codec | None:
     """The codec of a topic's messages; None for unsupported message types.
 
-    Args:
-        message_encoding: as in MCAP: `cdr`, `ros1`, `protobuf` or `json`.
-        schema: name of the schema, such as `sensor_msgs/msg/Image` or `foxglove.RawImage`.
-        schema_encoding: as in MCAP, such as `ros2msg`.
-        definition: the schema as stored.
-
-    Raises:
-        MissingExtraError: they are messages of ROS, and rosbags is not installed.
+    `message_encoding`: as in MCAP: `cdr`, `ros1`, `protobuf` or `json`.
+    `schema_encoding`: as in MCAP, such as `ros2msg`.
     """
     # Both libraries are slow to import, and most logs need only one.
     if message_encoding in ("cdr", "ros1"):

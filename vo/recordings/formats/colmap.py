@@ -47,7 +47,6 @@ class ModelWriter:
 
     Args:
         folder: output folder, which must exist; a model in it is replaced.
-        camera: the camera of all images.
 
     Raises:
         OSError: here and in every method: the files cannot be written.
@@ -63,12 +62,9 @@ class ModelWriter:
     ) -> None:
         """Add an image.
 
-        Args:
-            row: its number, from 0.
-            name: of its file, without white space.
-            world_from_cam: (4, 4).
-            xy: (N, 2) observations in pixels, the centre of the top-left pixel at (0, 0).
-            point: (N,) numbers of their points, from 0.
+        `row`: its number, from 0.
+        `xy`: (N, 2) observations in pixels, the centre of the top-left pixel at (0, 0).
+        `point`: (N,) numbers of their points, from 0.
         """
         pose = inverse(world_from_cam)
         x, y, z, w = quat_xyzw_from_rotation(pose[:3, :3]).tolist()

@@ -29,13 +29,7 @@ def size_limit(stored: int) -> int:
 def decompress(data: bytes, compression: str, max_bytes: int) -> bytes:
     """Decompress data; of data that ends too early, as much as possible.
 
-    Args:
-        data: the compressed data.
-        compression: `bz2`, `lz4` or `zstd`.
-        max_bytes: size that the data states, or `size_limit`.
-
-    Raises:
-        SourceError: it is damaged, or unpacks to more; the compression is unknown.
+    `max_bytes`: size that the data states, or `size_limit`.
     """
     try:
         if compression == "bz2":

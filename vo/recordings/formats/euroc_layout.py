@@ -35,9 +35,6 @@ def calibration_files(root: Path) -> list[Path]:
 
     These are EuRoC's sensor.yaml, Kalibr's camchain.yaml (also in TUM-VI's folder `dso`, and shared
     by the recordings of a folder) or its result under another name, and calibration.yaml.
-
-    Args:
-        root: folder with cam0: `mav0`, or the recording without it.
     """
     root = root.resolve()
     top = recording_folder(root)
@@ -53,12 +50,7 @@ def calibration_files(root: Path) -> list[Path]:
 def find_camera_on_body(root: Path, calibration: Calibration | None = None) -> CameraOnBody | None:
     """The pose of cam0 on the body; None if no file contains it.
 
-    Args:
-        root: folder with cam0: `mav0`, or the recording without it.
-        calibration: calibration that was read before, which is preferred.
-
-    Raises:
-        CalibrationError: no file contains it, and one of them is damaged.
+    `calibration`: calibration that was read before, which is preferred.
     """
     if calibration is not None and calibration.body_from_cam0 is not None:
         return CameraOnBody(calibration.body_from_cam0, calibration.file)

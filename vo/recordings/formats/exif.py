@@ -15,9 +15,6 @@ UPRIGHT = 1
 def exif_orientation(data: bytes) -> int:
     """How a JPEG file asks to be turned, 1 to 8; 1 is as stored, also if nothing is stated.
 
-    Args:
-        data: the file, or its beginning.
-
     Source: Exif 2.32 (CIPA DC-008), 4.5.4 and 4.6.4; TIFF 6.0, section 2.
     """
     try:

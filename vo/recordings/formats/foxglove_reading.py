@@ -41,12 +41,7 @@ _FIRST_FIELD = b"\x0a"  # field 1, length-delimited: the stamp of all messages b
 
 
 def foxglove_codec(schema: str, message_encoding: str) -> Codec | None:
-    """The codec of one of Foxglove's message types; None for unsupported types.
-
-    Args:
-        schema: name of the schema, such as `foxglove.RawImage`.
-        message_encoding: `protobuf` or `json`.
-    """
+    """The codec of one of Foxglove's message types; None for unsupported types."""
     if schema not in _CONVERTERS:
         return None
     kind, message_class, convert = _CONVERTERS[schema]

@@ -41,11 +41,7 @@ class Mesh:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Read a mesh by the suffix of its file; polygons become fans of triangles.
-
-    Raises:
-        SourceError: the file is missing, damaged, of another kind, or has no triangle.
-    """
+    """Read a mesh by the suffix of its file; polygons become fans of triangles."""
     try:
         data = read_bytes(path, MAX_BYTES)
     except FileNotFoundError as error:

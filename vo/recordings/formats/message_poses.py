@@ -19,11 +19,7 @@ def vector3(vector: Any) -> Floats:
 
 
 def rigid_transform(position: Any, rotation: Any) -> Floats:
-    """The (4, 4) transform of a position (x, y, z) and a quaternion (x, y, z, w).
-
-    Raises:
-        SourceError: a number is not finite or implausibly large, or the quaternion is zero.
-    """
+    """The (4, 4) transform of a position (x, y, z) and a quaternion (x, y, z, w)."""
     quat = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
     xyz = np.array([position.x, position.y, position.z])
     if not (np.isfinite(quat).all() and np.any(quat) and (np.abs(xyz) < _MAX_DISTANCE_M).all()):

@@ -29,14 +29,10 @@ class ImageMessage:
 
     Attributes:
         stamp_ns: middle of the exposure.
-        frame: coordinate frame of the camera.
-        width: in pixels.
-        height: in pixels.
         pixel_format: name of an encoding of `vo.recordings.formats.pixels`, such as `mono8` or
             `bayer_rggb8`; `32FC1` for a depth image in metres, infinite without a surface.
         data: rows, the top one first.
         step: bytes from one row to the next; 0 for rows without padding.
-        big_endian: byte order of pixels with more than 8 bits.
     """
 
     stamp_ns: int
@@ -80,7 +76,6 @@ class CalibrationMessage:
 
     Attributes:
         stamp_ns: stamp of the image that it belongs to.
-        frame: coordinate frame of the camera.
         camera: the camera before rectification.
         rectified_from_cam: (3, 3) rotation into the rectified camera.
         projection: (3, 4) of the rectified camera; the last column contains the baseline.
@@ -98,8 +93,6 @@ class ImuMessage:
     """One sample of an inertial sensor.
 
     Attributes:
-        stamp_ns: time of measurement.
-        frame: coordinate frame of the sensor.
         gyro: (3,) rad/s.
         accel: (3,) m/s², specific force.
         gyro_variance: variance of the white noise of a sample, rad²/s²; 0 without noise.
@@ -129,7 +122,6 @@ class PositionFixMessage:
     """A position by satellite, as `sensor_msgs/NavSatFix`.
 
     Attributes:
-        stamp_ns: time of measurement.
         geodetic: (3,) latitude and longitude in degrees, height in metres on WGS 84; NaN without a
             fix.
         sigma_m: standard deviation along one axis, NaN if unknown.
@@ -196,7 +188,6 @@ class Codec:
     """Decoder of a topic's messages.
 
     Attributes:
-        kind: type of the messages.
         decode: converts bytes to a message; raises SourceError for invalid bytes, and
             CalibrationError for an implausible camera.
         peek_stamp_ns: reads the stamp from the first `HEAD_BYTES` of a message or all of it; None
@@ -213,11 +204,6 @@ class Dialect:
     """Encoding of messages in an MCAP file.
 
     Attributes:
-        profile: MCAP profile, or empty.
-        message_encoding: MCAP's name of the message encoding.
-        schema_encoding: MCAP's name of the schema encoding.
-        schema: returns the schema of a message type.
-        encode: serialises a message.
         channel_metadata: returns the metadata of a channel, given its topic.
         metadata: metadata records of the file, by name.
     """
@@ -234,9 +220,7 @@ class Dialect:
 def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:
     """Name and coefficients of a camera's distortion in ROS and Foxglove.
 
-    Args:
-        camera: the camera.
-        fisheye: name of the equidistant model (Kannala and Brandt, 2006) in the dialect.
+    `fisheye`: name of the equidistant model (Kannala and Brandt, 2006) in the dialect.
     """
     coefficients = list(camera.distortion)
     if camera.distortion_model == "equidistant":

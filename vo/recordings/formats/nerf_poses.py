@@ -31,11 +31,7 @@ class PosedImage(NamedTuple):
 
 
 def read_nerf_poses(path: Path | str) -> list[PosedImage]:
-    """Read all poses, in natural order of the names of the images.
-
-    Raises:
-        SourceError: the file is missing, damaged or has no poses.
-    """
+    """Read all poses, in natural order of the names of the images."""
     path = Path(path)
     try:
         document = load_document(path)

@@ -87,11 +87,7 @@ _OTHER_NAMES = {
 
 
 def grey_pixels(message: ImageMessage) -> Pixels:
-    """The (H, W) grey image, uint8 or uint16, of an uncompressed image.
-
-    Raises:
-        SourceError: the encoding is unknown, or bytes are missing.
-    """
+    """The (H, W) grey image, uint8 or uint16, of an uncompressed image."""
     layout = _layout(message)
     return layout.grey(_rows(message, layout))
 

@@ -28,11 +28,7 @@ end_header
 def write_ply(path: Path, count: int, parts: Iterable[tuple[Floats, Bytes]], comment: str) -> None:
     """Write points with their grey levels; the file appears when it is complete.
 
-    Args:
-        path: the file; an existing one is replaced.
-        count: number of points.
-        parts: positions (M, 3) and grey levels (M,), `count` of them altogether.
-        comment: comment in the header, one line.
+    `parts`: positions (M, 3) and grey levels (M,), `count` of them altogether.
 
     Raises:
         OSError: the file cannot be written.

@@ -47,19 +47,12 @@ class PositionTable:
 
 
 def is_nmea(path: Path) -> bool:
-    """Whether a file has a sentence with a position among its first lines.
-
-    Raises:
-        SourceError: it cannot be read.
-    """
+    """Whether a file has a sentence with a position among its first lines."""
     return any(_sentence(line)[:1] in (["GGA"], ["RMC"]) for line in _lines(path)[:200])
 
 
 def read_nmea(path: Path) -> PositionTable:
     """Read the sentences GGA, with the dates of RMC and ZDA; sentences without a fix are left out.
-
-    Raises:
-        SourceError: the file cannot be read, or has no position.
 
     Source: NMEA 0183, sentences GGA, RMC and ZDA.
     """
@@ -104,9 +97,6 @@ def read_position_csv(path: Path) -> PositionTable | None:
 
     Stamps are seconds in `time`, `t`, `stamp` or `timestamp`, nanoseconds in `stamp_ns`. Positions
     are `x`, `y` and perhaps `z` in metres, or `lat`, `lon` and perhaps `alt`.
-
-    Raises:
-        SourceError: the file cannot be read, or a line is damaged.
     """
     lines = [line for line in _lines(path) if line.strip()]
     names = [name.strip().lower() for name in next(csv.reader(lines[:1]), [])]

@@ -50,11 +50,8 @@ _OTHER_DEFINITIONS = {
 def ros2_codec(schema: str, schema_encoding: str, definition: bytes) -> Codec | None:
     """The codec of a message type in CDR; None for unsupported types.
 
-    Args:
-        schema: name of the type, such as `sensor_msgs/msg/Image`.
-        schema_encoding: `ros2msg`, `ros2idl` or empty.
-        definition: text of the definition; that of ROS 2 Humble is used if it is empty, as in bags
-            before ROS 2 Iron, or cannot be read.
+    `definition`: text of the definition; that of ROS 2 Humble is used if it is empty, as in bags
+    before ROS 2 Iron, or cannot be read.
     """
     name = _full_name(schema)
     if name not in _CONVERTERS:

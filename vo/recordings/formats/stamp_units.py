@@ -44,13 +44,7 @@ def parse_stamps(
     close together, and the numbers fit another unit; this is reported by a warning. Whole numbers
     with twelve or more digits may be nanoseconds in a table of seconds.
 
-    Args:
-        stamps: stamps of a table, at least one.
-        unit: usual unit of the table, `s` or `ns`.
-        faults: receives another unit.
-
-    Raises:
-        SourceError: a stamp is not a number in its unit, or too large.
+    `faults`: receives another unit.
     """
     values = [_number(stamp) for stamp in stamps]
     are_whole = all(stamp.text.isascii() and stamp.text.isdigit() for stamp in stamps)

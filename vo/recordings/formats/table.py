@@ -28,9 +28,6 @@ def read_table(path: Path) -> list[Line]:
     """Read the lines of data, without comments, blank lines and a CSV header.
 
     An incomplete last line, left by a program that was killed, is dropped with a warning.
-
-    Raises:
-        SourceError: the file is missing, not text or without data.
     """
     try:
         text = read_table_text(path)
@@ -74,11 +71,7 @@ def _is_number(text: str) -> bool:
 
 
 def check_columns(lines: list[Line], columns: int, *, exactly: bool) -> None:
-    """Refuse lines with another number of columns.
-
-    Raises:
-        SourceError: a line has fewer columns, or more where `exactly` is set.
-    """
+    """Refuse lines with another number of columns."""
     for line in lines:
         found = len(line.fields)
         if found < columns or (exactly and found > columns):
@@ -87,11 +80,7 @@ def check_columns(lines: list[Line], columns: int, *, exactly: bool) -> None:
 
 
 def parse_columns(lines: list[Line], start: int, stop: int) -> Floats:
-    """Parse columns start to stop - 1 as (N, stop - start) numbers, which may be NaN.
-
-    Raises:
-        SourceError: a field is not a number or implausibly large.
-    """
+    """Parse columns start to stop - 1 as (N, stop - start) numbers, which may be NaN."""
     values = np.empty((len(lines), stop - start))
     for i, line in enumerate(lines):
         try:

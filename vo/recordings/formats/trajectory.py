@@ -55,20 +55,12 @@ def read_trajectory(path: Path | str) -> Trajectory:
 
 
 def has_stamps(path: Path | str) -> bool:
-    """Whether the poses of a file have stamps, in the file or in a `times.txt` beside it.
-
-    Raises:
-        SourceError: the file is missing, empty or of none of the formats.
-    """
+    """Whether the poses of a file have stamps, in the file or in a `times.txt` beside it."""
     return detect_format(path) in ("tum", "euroc") or stamps_beside(path) is not None
 
 
 def detect_format(path: Path | str) -> TrajectoryFormat:
-    """Detect the format from the first line of data.
-
-    Raises:
-        SourceError: the file is missing, empty or of none of the formats.
-    """
+    """Detect the format from the first line of data."""
     if Path(path).suffix.lower() == ".json":
         return "nerf"
     first = read_table(Path(path))[0]
@@ -89,11 +81,7 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
 
 
 def read_tum(path: Path | str) -> Trajectory:
-    """Read `stamp tx ty tz qx qy qz qw` lines, stamps in decimal seconds.
-
-    Raises:
-        SourceError: the file is missing, empty or damaged.
-    """
+    """Read `stamp tx ty tz qx qy qz qw` lines, stamps in decimal seconds."""
     lines = read_table(Path(path))
     check_columns(lines, _TUM_COLUMNS, exactly=True)
     stamps = _seconds_column(lines)
@@ -105,9 +93,6 @@ def read_euroc(path: Path | str) -> Trajectory:
     """Read a EuRoC ground truth CSV: `stamp_ns, x, y, z, qw, qx, qy, qz, …`.
 
     The poses are those of the body, world_from_body; the body is the IMU.
-
-    Raises:
-        SourceError: the file is missing, empty or damaged.
     """
     lines = read_table(Path(path))
     check_columns(lines, _EUROC_COLUMNS, exactly=False)
@@ -122,9 +107,6 @@ def read_four_seasons(path: Path | str) -> Trajectory:
 
     The poses are those of the left camera at keyframes, in metres. The scale is that of the visual
     path in the data set and is not used.
-
-    Raises:
-        SourceError: the file is missing, empty or damaged.
     """
     lines = read_table(Path(path))
     check_columns(lines, _EUROC_COLUMNS, exactly=False)
@@ -138,12 +120,7 @@ def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
 
     Rotations are not re-orthonormalised; KITTI gives seven digits.
 
-    Args:
-        path: the file.
-        stamps_ns: (N,) stamps of the poses; by default pose i gets i seconds.
-
-    Raises:
-        SourceError: the file is missing, empty, damaged or has another number of poses than stamps.
+    `stamps_ns`: (N,) stamps of the poses; by default pose i gets i seconds.
     """
     lines, values = _read_numbers(path, _KITTI_COLUMNS)
     stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
@@ -158,12 +135,7 @@ def read_tartanair(path: Path | str, stamps_ns: Ints | None = None) -> Trajector
 
     The camera's axes in the file are x forward, y right, z down; the result has those of an image.
 
-    Args:
-        path: the file.
-        stamps_ns: (N,) stamps of the poses; by default pose i gets i seconds.
-
-    Raises:
-        SourceError: the file is missing, empty, damaged or has another number of poses than stamps.
+    `stamps_ns`: (N,) stamps of the poses; by default pose i gets i seconds.
     """
     lines, values = _read_numbers(path, _TARTANAIR_COLUMNS)
     stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
@@ -174,23 +146,14 @@ def read_tartanair(path: Path | str, stamps_ns: Ints | None = None) -> Trajector
 def read_nerf(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
     """Read the poses of NeRF's `transforms.json`, in natural order of the names of the images.
 
-    Args:
-        path: the file.
-        stamps_ns: (N,) stamps of the poses; by default pose i gets i seconds.
-
-    Raises:
-        SourceError: the file is missing, damaged or has another number of poses than stamps.
+    `stamps_ns`: (N,) stamps of the poses; by default pose i gets i seconds.
     """
     poses = [image.world_from_cam for image in read_nerf_poses(path)]
     return Trajectory(_or_whole_seconds(path, stamps_ns, len(poses)), np.stack(poses))
 
 
 def _or_whole_seconds(path: Path | str, stamps_ns: Ints | None, count: int) -> Ints:
-    """The stamps, or 0 s, 1 s and so on without any.
-
-    Raises:
-        SourceError: there is another number of stamps.
-    """
+    """The stamps, or 0 s, 1 s and so on without any."""
     if stamps_ns is None:
         return np.arange(count, dtype=np.int64) * _NS_PER_S
     if len(stamps_ns) != count:
@@ -204,9 +167,6 @@ def read_kitti_times(path: Path | str) -> Ints:
     """Read a KITTI `times.txt`, one stamp per line, as (N,) nanoseconds.
 
     Stamps are seconds, unless images would then be implausibly far apart, as with milliseconds.
-
-    Raises:
-        SourceError: the file is missing, empty or damaged.
     """
     lines = read_table(Path(path))
     check_columns(lines, 1, exactly=True)

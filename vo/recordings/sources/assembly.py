@@ -44,8 +44,6 @@ class RecordingContents:
     """Contents of a recording, as listed by its format.
 
     Attributes:
-        name: short name of the recording.
-        format: name of the format in the registry.
         left: images of cam0, with increasing stamps.
         right: images of cam1, with increasing stamps; None without a right camera.
         calibrate: reads the calibration, given the size of the images.
@@ -53,7 +51,6 @@ class RecordingContents:
         close: closes the files that images keep open between reads.
         find_imus: lists the inertial sensors, the preferred one first, without reading their
             samples; its argument is the calibration, None if unknown.
-        faults: faults of the stamps.
         depth: depth images registered to cam0, with increasing stamps; None without depth.
         right_offset_ns: to be added to the stamps of `right`; None to find a constant offset.
     """
@@ -72,12 +69,7 @@ class RecordingContents:
 
 
 def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
-    """Create a source, after checking that images and calibration match.
-
-    Raises:
-        SourceError: no image can be read, or `mode` is `stereo` and there is no right camera.
-        CalibrationError: the calibration is missing, invalid, or for images of another size.
-    """
+    """Create a source, after checking that images and calibration match."""
     first = _first_image(contents.left)
     size = _size_of(first)
     warn_of_turned(contents.name, contents.left)

@@ -25,11 +25,7 @@ class DepthImages(NamedTuple):
 
 
 def read_depth(stored: StoredImage, per_metre: float) -> Floats32:
-    """Depth (H, W) in metres, 0 where unknown.
-
-    Raises:
-        SourceError: the image is missing or damaged.
-    """
+    """Depth (H, W) in metres, 0 where unknown."""
     return np.asarray(stored.read() / np.float32(per_metre), dtype=np.float32)
 
 

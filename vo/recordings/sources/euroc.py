@@ -24,12 +24,7 @@ _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 
 
 def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List a recording, given its folder or the folder mav0 in it.
-
-    Raises:
-        SourceError: images or stamps are missing or inconsistent.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """List a recording, given its folder or the folder mav0 in it."""
     path = path.resolve()
     root = path / "mav0" if (path / "mav0").is_dir() else path
     top = recording_folder(root)

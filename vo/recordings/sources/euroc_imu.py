@@ -33,11 +33,7 @@ def euroc_imus(
 ) -> list[FileImu]:
     """The inertial sensors of a recording; their files are read on first use.
 
-    Args:
-        root: `mav0`, or a folder like it.
-        calibration: calibration of the cameras, None if unknown.
-        body_from_cam0: finds the pose of cam0 on the body.
-        tables: their files; by default all `imu*/data.csv`.
+    `tables`: their files; by default all `imu*/data.csv`.
     """
     tables = tables or sorted(root.glob("imu*/data.csv"))
     return [_imu(table, calibration, body_from_cam0) for table in tables]

@@ -29,10 +29,6 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
 
     Stamps come from times.txt or timestamps.txt (see `shots_from_times`), or else from the file
     names; otherwise 10 frames per second are assumed, with a warning.
-
-    Raises:
-        SourceError: images are missing or do not match the stamps.
-        CalibrationError: the calibration is missing or invalid.
     """
     is_pair = (path / "left").is_dir()
     left_folder = path / "left" if is_pair else _image_folder(path)
@@ -58,11 +54,7 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
 
 
 def _image_folder(path: Path) -> Path:
-    """The folder `images` of a data set such as TUM monoVO, which has a picture of its own beside.
-
-    Raises:
-        SourceError: the images are still packed.
-    """
+    """The folder `images` of a data set such as TUM monoVO, which has a picture beside it."""
     inside = path / "images"
     if inside.is_dir() and (find_times_file(path) is not None or not _has_images(path)):
         return inside
@@ -84,17 +76,8 @@ def assign_stamps(
 ) -> tuple[list[Shot], bool]:
     """Assign stamps to images, from a file, their names, or an assumed frame rate.
 
-    Args:
-        images: the images.
-        where: folder or pattern of the images, for messages.
-        times: file of stamps, if there is one.
-        faults: receives faults of the stamps.
-
     Returns:
         The images with stamps, and whether the stamps come from the names.
-
-    Raises:
-        SourceError: the stamps do not match the images.
     """
     if times is not None:
         return shots_from_times(times, images, faults), False

@@ -28,10 +28,6 @@ def gather_four_seasons(path: Path, calibration: Path | None, mode: Mode) -> Rec
 
     Stamps are the names of the images, in nanoseconds. The calibration is that of the undistorted
     images, in a folder `calibration` of the recording or of a folder above it.
-
-    Raises:
-        SourceError: images are missing, or their names are not stamps.
-        CalibrationError: the calibration is missing or invalid.
     """
     path = path.resolve()
     right = path / _IMAGES / "cam1"

@@ -21,10 +21,6 @@ def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Recordin
     If the pattern contains `left`, the right images are those that match it with `right` instead.
     Stamps come from a times.txt in the folder with one line per image, or else from the file
     names; otherwise 10 frames per second are assumed, with a warning.
-
-    Raises:
-        SourceError: no image matches, or two have the same stamp.
-        CalibrationError: the calibration is missing or invalid.
     """
     images = _matching(str(pattern))
     if not images:

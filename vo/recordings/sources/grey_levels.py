@@ -74,10 +74,6 @@ def find_grey_levels(
     16-bit images whose values, but for 1 % at either end, lie within a quarter of the camera's
     range, as those of thermal cameras, are stretched. The stretch depends on the number of a frame
     only, neither on where reading begins nor on threads.
-
-    Args:
-        left: images of cam0; unreadable ones are ignored.
-        right: image of cam1 for each of them, None where it is missing.
     """
     bit_depth = estimate_bit_depth(left)
     if bit_depth == 8:

@@ -121,16 +121,7 @@ def is_colour(images: Sequence[StoredImage]) -> bool:
 
 
 def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
-    """Decode an image file in memory, with 8 or 16 bits, without transparency.
-
-    Args:
-        data: contents of a PNG, JPEG or any other file that OpenCV decodes.
-        name: name of the image, for messages.
-        colour: keep colour; otherwise it is converted to grey.
-
-    Raises:
-        SourceError: the data is empty, damaged, truncated or not an image.
-    """
+    """Decode an image file in memory, with 8 or 16 bits, without transparency."""
     if not data:
         raise SourceError(f"image {name} is empty")
     # OpenCV fills the missing part of a truncated JPEG with grey and reports no error.

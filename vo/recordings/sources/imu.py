@@ -85,9 +85,6 @@ class Imu(Protocol):
     def read_some(self, max_samples: int) -> ImuSamples:
         """Read parts spread over the recording, or everything if that is no slower.
 
-        Args:
-            max_samples: maximum number of samples, if only parts are read.
-
         Raises:
             SourceError: the samples cannot be read.
         """
@@ -107,12 +104,7 @@ class FileImu:
     ) -> None:
         """Store the functions that read the sensor.
 
-        Args:
-            name: path of the file or folder.
-            load: reads all samples; may raise SourceError.
-            find_extrinsics: finds cam0_from_imu.
-            find_noise: finds the noise densities.
-            time_offset_s: see `Imu.time_offset_s`.
+        `find_extrinsics`: finds cam0_from_imu.
         """
         self.name = name
         self.time_offset_s = time_offset_s
@@ -188,10 +180,7 @@ def make_samples(
 ) -> ImuSamples:
     """Sort samples by stamp, and drop those that are not finite or repeat a stamp.
 
-    Args:
-        stamps_ns: N stamps.
-        values: N rows of gyro x, y, z and accel x, y, z.
-        unreadable: number of further samples that could not be read.
+    `values`: N rows of gyro x, y, z and accel x, y, z.
     """
     stamps = np.array(stamps_ns, dtype=np.int64)
     rows = np.array(values, dtype=np.float64).reshape(-1, 6)

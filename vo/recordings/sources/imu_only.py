@@ -16,13 +16,8 @@ from vo.recordings.sources.registry import FORMATS, choose_format, gather, open_
 def open_imu(path: Path, format: str | None = None, topics: Sequence[str] = ()) -> Imu:
     """Open the first inertial sensor, or that of a topic.
 
-    Args:
-        path: recording of any format, or a table such as EuRoC's `imu0/data.csv`.
-        format: a key of `FORMATS`; by default detected from the path.
-        topics: topics of a log, `imu=/name` or `/name`.
-
-    Raises:
-        SourceError: the recording is missing, damaged or has no inertial sensor.
+    `path`: recording of any format, or a table such as EuRoC's `imu0/data.csv`.
+    `topics`: topics of a log, `imu=/name` or `/name`.
     """
     if format is None and path.suffix.lower() == ".csv" and path.is_file():
         return euroc_imus(path.resolve().parent, None, lambda: None, [path])[0]

@@ -28,12 +28,7 @@ _PAIRS = {("image_0", "image_1"): ("P0", "P1"), ("image_2", "image_3"): ("P2", "
 
 
 def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List a sequence; right images, calib.txt and poses are optional.
-
-    Raises:
-        SourceError: images or times.txt are missing or inconsistent.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """List a sequence; right images, calib.txt and poses are optional."""
     folders, matrices = next(
         (pair for pair in _PAIRS.items() if (path / pair[0][0]).is_dir()),
         (("image_0", "image_1"), ("P0", "P1")),

@@ -34,12 +34,7 @@ _CALIBRATION = "calib_cam_to_cam.txt"
 
 
 def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List a drive, rectified (`sync`) or as recorded (`extract`); prefer the grey cameras.
-
-    Raises:
-        SourceError: images or stamps are missing or inconsistent.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """List a drive, rectified (`sync`) or as recorded (`extract`); prefer the grey cameras."""
     path = path.resolve()
     left, right = next((pair for pair in _PAIRS if (path / pair[0]).is_dir()), _PAIRS[0])
     cameras = (left[-2:], right[-2:])

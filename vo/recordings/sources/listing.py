@@ -30,7 +30,6 @@ class Shot(NamedTuple):
 
     Attributes:
         stamp_ns: time of exposure, in nanoseconds.
-        image: the stored image.
         location: where the stamp was read, for messages.
     """
 
@@ -40,11 +39,7 @@ class Shot(NamedTuple):
 
 
 def read_lines(path: Path) -> list[Line]:
-    """Read the data lines of a file, without blank lines, comments and a heading of columns.
-
-    Raises:
-        SourceError: the file is missing, not text, or has no data.
-    """
+    """Read the data lines of a file, without blank lines, comments and a heading of columns."""
     texts = [text.strip() for text in _read_text(path).splitlines()]
     numbered = [(n, text) for n, text in enumerate(texts, start=1) if text and text[0] != "#"]
     name = str(path)
@@ -52,11 +47,7 @@ def read_lines(path: Path) -> list[Line]:
 
 
 def read_data(path: Path) -> list[str]:
-    """The same without the places of the lines, in a fifth of the time.
-
-    Raises:
-        SourceError: as `read_lines`.
-    """
+    """The same without the places of the lines, in a fifth of the time."""
     texts = [text for text in map(str.strip, _read_text(path).splitlines()) if text]
     data = [text for text in texts if text[0] != "#"]
     return data[_first(path, [(0, text) for text in data[:2]]) :]
@@ -82,11 +73,7 @@ def _first(path: Path, lines: list[tuple[int, str]]) -> int:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The images of a folder in natural order of their names (frame2 before frame10).
-
-    Raises:
-        SourceError: the folder is missing or has no images.
-    """
+    """The images of a folder in natural order of their names (frame2 before frame10)."""
     if not folder.is_dir():
         raise SourceError(f"folder {folder} does not exist; it should contain the images")
     paths = [p for p in folder.iterdir() if is_image_name(p.name) and p.is_file()]
@@ -115,16 +102,7 @@ def shots_from_table(
 ) -> list[Shot]:
     """Read a table with a stamp and a file name per line.
 
-    Args:
-        table: the text file.
-        folder: folder that the file names are relative to.
-        separator: separator of stamp and name; None for white space.
-        unit: usual unit of the stamps.
-        faults: receives faults of the stamps.
-
-    Raises:
-        SourceError: a line is invalid or names a file outside of the folder of the table, stamps
-            do not increase, or none of the files exists.
+    `folder`: folder that the file names are relative to.
     """
     texts, files = [], []
     for location, text in read_lines(table):
@@ -147,11 +125,7 @@ def shots_from_table(
 
 
 def inside(root: Path, file: Path, location: str) -> Path:
-    """The file, unless its name leads out of a folder; images are copied into exports.
-
-    Raises:
-        SourceError: it does.
-    """
+    """The file, unless its name leads out of a folder; images are copied into exports."""
     folder, absolute = os.path.abspath(root), os.path.abspath(file)
     if absolute != folder and not absolute.startswith(os.path.join(folder, "")):
         raise SourceError(
@@ -161,11 +135,7 @@ def inside(root: Path, file: Path, location: str) -> Path:
 
 
 def check_increasing(shots: Sequence[Shot]) -> None:
-    """Check that stamps increase.
-
-    Raises:
-        SourceError: a stamp is not greater than the one before; the first such pair is named.
-    """
+    """Check that stamps increase."""
     for before, after in zip(shots, shots[1:], strict=False):
         if after.stamp_ns <= before.stamp_ns:
             raise SourceError(

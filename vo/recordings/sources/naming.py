@@ -21,9 +21,6 @@ def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
 
     Numbers with a decimal point are seconds. Integers from 10^9 are nanoseconds, microseconds,
     milliseconds or seconds: the first unit with a median interval from 2 ms to 20 s.
-
-    Raises:
-        SourceError: two images have the same stamp.
     """
     numbers = [_last_number(path) for path in images]
     if len(images) < 2 or not all(numbers):

@@ -24,10 +24,6 @@ def gather_nerf(path: Path, calibration: Path | None, mode: Mode) -> RecordingCo
 
     Where all of them are in one folder, images of that folder without a pose are included. Stamps
     are those of a plain folder of images. The unit of length of the ground truth is any.
-
-    Raises:
-        SourceError: the file is damaged, or its images are missing.
-        CalibrationError: the calibration is missing or invalid.
     """
     file = path if path.is_file() else first_existing([path / name for name in _NAMES])
     if file is None:

@@ -35,11 +35,7 @@ _NS_PER_MS, _NS_PER_S = 1e6, 1_000_000_000
 
 
 class OpenCvDecoder:
-    """Decodes frames sequentially.
-
-    Raises:
-        SourceError: the file cannot be opened or has no frames.
-    """
+    """Decodes frames sequentially."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -72,11 +68,7 @@ class OpenCvDecoder:
 
 
 def _check_kind(path: Path) -> None:
-    """Refuse what is no video by its first bytes, above all lists that name other files.
-
-    Raises:
-        SourceError: it is none, or cannot be read.
-    """
+    """Refuse what is no video by its first bytes, above all lists that name other files."""
     try:
         with path.open("rb") as stream:
             head = stream.read(_HEAD_BYTES)
@@ -96,11 +88,7 @@ def _check_kind(path: Path) -> None:
 
 
 def _open(path: Path) -> cv2.VideoCapture:
-    """Open a file.
-
-    Raises:
-        SourceError: it cannot be opened, or its pictures are too large.
-    """
+    """Open a file."""
     silence_ffmpeg()
     with quiet_opencv:
         capture = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
@@ -125,11 +113,7 @@ def silence_ffmpeg() -> None:
 
 
 def _list_stamps(path: Path) -> list[int]:
-    """Times of all frames, by decoding them.
-
-    Raises:
-        SourceError: there are no frames, or their times are not known.
-    """
+    """Times of all frames, by decoding them."""
     capture = _open(path)
     stamps_ns: list[int] = []
     damaged = 0

@@ -36,13 +36,6 @@ def read_oxts(folder: Path, stamps_ns: Sequence[int]) -> Trajectory:
 
     The origin of the world is the first record. Records whose stamp does not increase are skipped.
 
-    Args:
-        folder: folder of the records.
-        stamps_ns: stamp of each record.
-
-    Raises:
-        SourceError: records are missing or damaged, or their number is not that of the stamps.
-
     Source: Geiger et al., Vision meets Robotics: The KITTI Dataset, IJRR 2013 (Mercator projection
         at the latitude of the first record).
     """
@@ -59,11 +52,7 @@ def read_oxts(folder: Path, stamps_ns: Sequence[int]) -> Trajectory:
 
 
 def read_oxts_positions(folder: Path) -> PositionTable:
-    """Read the positions alone, with the stamps in `timestamps.txt`.
-
-    Raises:
-        SourceError: as for `read_oxts`, or a stamp is damaged.
-    """
+    """Read the positions alone, with the stamps in `timestamps.txt`."""
     stamps_ns = np.array(read_date_stamps(folder / "timestamps.txt"), dtype=np.int64)
     values = np.array([_record(path)[:3] for path in _files(folder, stamps_ns.tolist())])
     unique, rows = np.unique(stamps_ns, return_index=True)
@@ -71,11 +60,7 @@ def read_oxts_positions(folder: Path) -> PositionTable:
 
 
 def read_date_stamps(table: Path) -> list[int]:
-    """Stamps in nanoseconds of lines such as `2011-09-26 13:02:25.964389445`.
-
-    Raises:
-        SourceError: the file is missing, or a line is no date.
-    """
+    """Stamps in nanoseconds of lines such as `2011-09-26 13:02:25.964389445`."""
     stamps = []
     for location, text in read_lines(table):
         try:
@@ -103,9 +88,6 @@ def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:
 
     These are the values in the frame of the unit (ax, ay, az and wx, wy, wz), not those in its
     levelled frame (af, al, au and wf, wl, wu). Arguments as for `read_oxts`.
-
-    Raises:
-        SourceError: the number of records is not that of the stamps.
     """
     stamps, values, files = [], [], _files(folder, stamps_ns)
     for path, stamp_ns in zip(files, stamps_ns, strict=True):
@@ -161,11 +143,7 @@ def rotation_from_roll_pitch_yaw(roll: float, pitch: float, yaw: float) -> Float
 
 
 def read_transform(path: Path) -> Floats:
-    """Read a (4, 4) transform from lines `R: …` and `T: …`, as in calib_velo_to_cam.txt.
-
-    Raises:
-        CalibrationError: the file is missing or damaged.
-    """
+    """Read a (4, 4) transform from lines `R: …` and `T: …`, as in calib_velo_to_cam.txt."""
     lines = dict(
         line.split(":", 1) for line in load_document(path).text.splitlines() if ":" in line
     )

@@ -26,13 +26,6 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredIma
     Two images form a pair if they are mutual nearest neighbours in time and differ by at most half
     the median interval of the left images, and at most 5 ms. Unpaired right images are dropped,
     with a warning.
-
-    Args:
-        left: N images, stamps increasing.
-        right: M images, stamps increasing.
-
-    Returns:
-        N right images or None.
     """
     stamps_left = np.array([shot.stamp_ns for shot in left], dtype=np.int64)
     stamps_right = np.array([shot.stamp_ns for shot in right], dtype=np.int64)
@@ -58,9 +51,6 @@ def copy_stamps(left: Sequence[Shot], right: Sequence[Path]) -> list[Shot]:
 
     Images are paired by name (without suffix), or by order if no name occurs on both sides and
     both have the same number of images.
-
-    Raises:
-        SourceError: no name occurs on both sides, and the numbers differ.
     """
     by_name = {Path(shot.image.name).stem: shot for shot in left}
     shots = [

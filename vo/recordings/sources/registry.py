@@ -154,29 +154,17 @@ def open_source(
 
 
 def gather(path: Path, name: str, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List a recording of a format without topics; no image is read.
-
-    Raises:
-        SourceError: images or stamps are missing or inconsistent.
-    """
+    """List a recording of a format without topics; no image is read."""
     return cast(Gather, _load(FORMATS[name].opener))(path, calibration, mode)
 
 
 def open_container(path: Path, name: str) -> Log:
-    """Open a log of a format with topics, whatever its topics are.
-
-    Raises:
-        SourceError: it is not a log of this format, or it cannot be read.
-    """
+    """Open a log of a format with topics, whatever its topics are."""
     return cast("Log", _load(FORMATS[name].log)(path))
 
 
 def choose_format(path: Path, format: str | None) -> str:
-    """The format chosen by the user, or else the one detected from the path.
-
-    Raises:
-        SourceError: the path does not exist, or there is no such format.
-    """
+    """The format chosen by the user, or else the one detected from the path."""
     _refuse_live(path)
     if not path.exists() and not _is_pattern(path):
         raise SourceError(f"{path} does not exist; give the folder or file of a recording")
@@ -190,11 +178,7 @@ def choose_format(path: Path, format: str | None) -> str:
 
 
 def detect_format(path: Path) -> str:
-    """The name of the first format that matches a path.
-
-    Raises:
-        SourceError: no format matches.
-    """
+    """The name of the first format that matches a path."""
     if not path.exists() and _is_pattern(path):
         return "glob"
     _refuse_lfs_pointer(path)

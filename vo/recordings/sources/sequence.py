@@ -42,10 +42,7 @@ class ListedImages(NamedTuple):
     """The images of a recording.
 
     Attributes:
-        left: images of cam0 in time order.
         right: right image of each, None where it is missing; None in mono.
-        levels: conversion of images with 16 bits per pixel to 8 bits.
-        depth: depth of each image of cam0; None without a depth camera.
     """
 
     left: Sequence[Shot]
@@ -58,14 +55,9 @@ class ImageSequence:
     """A `Recording` whose images are listed beforehand.
 
     Attributes:
-        name: short name for titles and file names.
-        format: name of the format in the registry.
         rig: the cameras, cam1 only if the frames have an image1.
-        ground_truth: true poses of cam0, or None.
         skipped: unreadable frames of the latest call of `frames` so far, with reasons.
         unpaired: number of its frames so far without image1 or depth, if the rig has either.
-        imus: inertial sensors, the preferred one first.
-        faults: faults of the whole recording, as found in its list of images.
         right_offset_ns: added to the stamps of right images before they were paired.
     """
 
@@ -82,14 +74,7 @@ class ImageSequence:
     ) -> None:
         """Store the listed images.
 
-        Args:
-            name: short name for titles and file names.
-            format: name of the format in the registry.
-            rig: the cameras.
-            images: the images of all cameras.
-            ground_truth: true poses of cam0.
-            close: closes the files that images keep open between reads; they can be read again.
-            imus: inertial sensors, the preferred one first.
+        `close`: closes the files that images keep open between reads; they can be read again.
         """
         self.name = name
         self.format = format
@@ -126,15 +111,6 @@ class ImageSequence:
         """Read frames start, start + stride, … below end.
 
         Unreadable frames are left out, with a warning and an entry in `skipped`.
-
-        Args:
-            start: number of the first frame.
-            end: number to stop before; None for all.
-            stride: step between frames.
-            images: kind of images.
-
-        Raises:
-            SourceError: the numbers select no frame.
         """
         if self._next_frames is not None:
             select_frames(start + 1, start, end, stride)
@@ -288,11 +264,7 @@ class _Losses:
 
 
 def select_frames(length: int, start: int, end: int | None, stride: int) -> range:
-    """The frame numbers start, start + stride, … below end and `length`.
-
-    Raises:
-        SourceError: a number is negative, the stride is not positive, or no frame is selected.
-    """
+    """The frame numbers start, start + stride, … below end and `length`."""
     if stride < 1:
         raise SourceError(f"stride is {stride}; it must be 1 or more")
     if start < 0 or (end is not None and end < 0):

@@ -22,11 +22,7 @@ _Type = TypeVar("_Type", bound=np.generic)
 
 
 def halves(image: NDArray[_Type], name: str) -> tuple[NDArray[_Type], NDArray[_Type]]:
-    """The left and the right half of an image.
-
-    Raises:
-        SourceError: its width is odd.
-    """
+    """The left and the right half of an image."""
     width = image.shape[1]
     if width % 2:
         raise SourceError(f"{name} is {width} pixels wide: it has no two halves of equal width")
@@ -35,11 +31,7 @@ def halves(image: NDArray[_Type], name: str) -> tuple[NDArray[_Type], NDArray[_T
 
 
 def split_side_by_side(contents: RecordingContents) -> RecordingContents:
-    """A recording of side-by-side images as one of stereo pairs.
-
-    Raises:
-        SourceError: it has right images already.
-    """
+    """A recording of side-by-side images as one of stereo pairs."""
     if contents.right:
         raise SourceError(f"{contents.name} has right images of its own; leave --side-by-side out")
     whole = _DecodedOnce([shot.image for shot in contents.left])

@@ -21,8 +21,6 @@ class SingleImage(NamedTuple):
     """An image and, if it is known, its camera.
 
     Attributes:
-        name: for messages.
-        image: (H, W) uint8 grey.
         camera: calibration of the recording that it comes from, None without one.
     """
 
@@ -34,12 +32,7 @@ class SingleImage(NamedTuple):
 def read_single_image(given: str | Path, *, right: bool = False) -> SingleImage:
     """Read an image in grey.
 
-    Args:
-        given: an image file, or `RECORDING:NUMBER` for a frame of a recording, counted from 0.
-        right: take the right image of that frame.
-
-    Raises:
-        SourceError: it is missing, damaged, no image, or the recording has no such frame.
+    `given`: an image file, or `RECORDING:NUMBER` for a frame of a recording, counted from 0.
     """
     frame = None if Path(given).exists() else _FRAME.fullmatch(str(given))
     if frame is not None:

@@ -17,8 +17,6 @@ class FrameStream(Protocol):
     """Frames of a rig of cameras in time order, without known length or times, such as a camera.
 
     Attributes:
-        name: short name for titles and file names.
-        format: name of the format.
         rig: the cameras; two only if the frames have images of both.
         ground_truth: true poses of cam0, or None.
         skipped: frames that `frames` could not read so far.
@@ -44,12 +42,6 @@ class FrameStream(Protocol):
         """Read frames start, start + stride, ... below end.
 
         Unreadable frames are left out, with a warning and an entry in `skipped`.
-
-        Args:
-            start: number of the first frame.
-            end: number to stop before, None for all.
-            stride: step between frames.
-            images: kind of images.
         """
         ...
 

@@ -23,9 +23,6 @@ def shots_from_times(
     A line has a stamp; or a stamp and a file name, in any order; or the name or number of an image,
     a stamp and, optionally, an exposure time, as in data sets for photometric calibration (TUM
     monoVO, TUM VI). With names or numbers, lines without an image are not used.
-
-    Raises:
-        SourceError: images have no line, a line is invalid, or stamps do not increase.
     """
     lines = read_lines(times)
     rows = [text.replace(",", " ").split() for _, text in lines]

@@ -30,10 +30,6 @@ def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> RecordingCon
 
     The calibration contains the number of depth units per metre (`depth_per_metre`); the default
     is 5000, as in the recordings of TUM.
-
-    Raises:
-        SourceError: images or stamps are missing or inconsistent.
-        CalibrationError: the calibration is missing or invalid.
     """
     faults: list[Fault] = []
     if (path / "rgb.txt").is_file():
@@ -54,11 +50,7 @@ def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> RecordingCon
 
 
 def _association_file(path: Path) -> Path:
-    """The file `associations.txt`, or one with a similar name.
-
-    Raises:
-        SourceError: there is none.
-    """
+    """The file `associations.txt`, or one with a similar name."""
     found = sorted(file for name in _ASSOCIATIONS for file in path.glob(name) if file.is_file())
     if not found:
         raise SourceError(f"{path} has neither rgb.txt nor associations.txt")

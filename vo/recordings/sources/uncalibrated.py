@@ -33,18 +33,6 @@ def open_uncalibrated(
 
     The cameras of its rig are placeholders: only their image size is meaningful. Ground truth and
     depth are left out.
-
-    Args:
-        path: folder or file of the recording.
-        format: a key of `FORMATS`; by default detected from the path.
-        mode: as in `open_source`.
-        topics: as in `open_source`.
-        right_offset_ns: as in `open_source`.
-        side_by_side: as in `open_source`.
-
-    Raises:
-        SourceError: the recording is missing, empty, damaged or of unknown format, or the image
-            sizes of its cameras differ.
     """
     path = Path(path)
     name = choose_format(path, format)

@@ -19,11 +19,7 @@ _THREADS = 2
 
 
 class PyavDecoder:
-    """Decodes frames sequentially, and seeks only if that saves decoding.
-
-    Raises:
-        SourceError: the file cannot be opened or has no frames.
-    """
+    """Decodes frames sequentially, and seeks only if that saves decoding."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -44,12 +44,7 @@ class VideoDecoder(Protocol):
 
 
 def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List the frames of the first video stream.
-
-    Raises:
-        SourceError: the file cannot be opened or has no frames.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """List the frames of the first video stream."""
     decoder = open_decoder(path)
     shots = [
         Shot(stamp, _StoredFrame(decoder, i), f"frame {i} of {path}")
@@ -69,11 +64,7 @@ def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
 
 
 def open_decoder(path: Path) -> VideoDecoder:
-    """The decoder of a video file.
-
-    Raises:
-        SourceError: the file cannot be opened or has no frames.
-    """
+    """The decoder of a video file."""
     try:
         require("av", extra="video", what="exact decoding and fast seeking")
     except MissingExtraError as missing:

@@ -128,11 +128,7 @@ def open_video(path: Path) -> InputContainer:
 
 
 def read_index(path: Path) -> VideoIndex:
-    """List the times of all frames, without decoding.
-
-    Raises:
-        SourceError: the file cannot be opened or has no frames.
-    """
+    """List the times of all frames, without decoding."""
     packets: list[_Packet] = []
     try:
         with open_video(path) as container:
@@ -213,11 +209,7 @@ def _nanoseconds(ticks: int, numerator: int, denominator: int) -> int:
 
 
 def video_stream(path: Path, container: InputContainer) -> VideoStream:
-    """The first video stream.
-
-    Raises:
-        SourceError: there is none.
-    """
+    """The first video stream."""
     if not container.streams.video:
         raise SourceError(f"{path} has no video stream")
     stream = container.streams.video[0]

@@ -44,11 +44,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the first camera and the second, if any; the body is the IMU.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """Read the first camera and the second, if any; the body is the IMU."""
     section = document.section("value0")
     intrinsics = _items(document, section, "intrinsics")
     cam0 = _camera(document, section, intrinsics, 0, image_size)

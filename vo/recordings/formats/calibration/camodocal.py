@@ -90,11 +90,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read a camera, or the first two cameras of VINS-Fusion.
-
-    Raises:
-        CalibrationError: a value or file is missing or implausible, or a model is not supported.
-    """
+    """Read a camera, or the first two cameras of VINS-Fusion."""
     data = document.data
     if "cam0_calib" not in data:
         pose = _vins_mono_pose(document)

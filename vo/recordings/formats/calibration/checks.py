@@ -71,9 +71,6 @@ def make_camera(
         intrinsics: parameters of the projection model, then fx, fy, cx, cy in pixels.
         distortion_model: a key of `DISTORTION_NAMES`, or None without distortion.
         distortion: distortion coefficients.
-
-    Raises:
-        CalibrationError: a value is missing, not a number or implausible.
     """
     if not isinstance(model, str) or model not in PROJECTIONS:
         known = ", ".join(f"'{name}'" for name in PROJECTIONS)
@@ -93,11 +90,7 @@ def make_camera(
 
 
 def make_readout(where: str, value: Any) -> float:
-    """Time from the first to the last row of an image, in seconds; 0 for None.
-
-    Raises:
-        CalibrationError: it is not a number, or implausible.
-    """
+    """Time from the first to the last row of an image, in seconds; 0 for None."""
     readout_s = 0.0 if value is None else make_number(where, value)
     if not 0.0 <= readout_s <= _MAX_READOUT_S:
         raise CalibrationError(
@@ -108,11 +101,7 @@ def make_readout(where: str, value: Any) -> float:
 
 
 def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
-    """Refuse a baseline of zero, and warn of an implausibly long one.
-
-    Raises:
-        CalibrationError: the baseline is zero.
-    """
+    """Refuse a baseline of zero, and warn of an implausibly long one."""
     baseline = float(np.linalg.norm(cam1_from_cam0[:3, 3]))
     if baseline < _MIN_BASELINE_M:
         raise CalibrationError(

@@ -55,11 +55,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the first camera for images of this size, or else the first camera.
-
-    Raises:
-        CalibrationError: its model is not supported or a parameter is implausible.
-    """
+    """Read the first camera for images of this size, or else the first camera."""
     lines = _LINE.findall(document.text)
     fitting = [line for line in lines if image_size == (int(line[2][:9]), int(line[3][:9]))]
     chosen = (fitting or lines)[0]

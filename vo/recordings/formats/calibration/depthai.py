@@ -41,11 +41,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the stereo pair, or the camera whose size is that of the images.
-
-    Raises:
-        CalibrationError: a value is missing or implausible, or a model is not supported.
-    """
+    """Read the stereo pair, or the camera whose size is that of the images."""
     cameras = _cameras(document)
     left, right = _pair(document)
     fitting = [number for number, each in cameras.items() if _size(each) == image_size]

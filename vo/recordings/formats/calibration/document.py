@@ -40,11 +40,9 @@ class Calibration:
     """Content of a calibration file.
 
     Attributes:
-        rig: the cameras.
         body_from_cam0: (4, 4) pose of cam0 in the body frame, whose poses the ground truth of the
             recording contains; None if unknown.
         depth_per_metre: units of a depth image per metre, None if unknown.
-        imu: the inertial sensor.
         kind: name of the file format, a key of `FORMATS`.
         file: the file, for error messages; None if it was not read from a calibration file.
     """
@@ -62,8 +60,6 @@ class Document:
     """A calibration file of a format not yet detected.
 
     Attributes:
-        path: the file, for error messages and to find files beside it.
-        text: its content.
         data: its content parsed as YAML, JSON or XML; empty if it is not a mapping.
         problem: why it could not be parsed; empty if it could.
     """
@@ -74,20 +70,12 @@ class Document:
     problem: str = ""
 
     def section(self, name: str) -> Mapping[str, Any]:
-        """The mapping under a top-level key.
-
-        Raises:
-            CalibrationError: there is none.
-        """
+        """The mapping under a top-level key."""
         return as_section(f"{self.path}: {name}", self.data.get(name))
 
 
 def as_section(where: str, value: Any) -> Mapping[str, Any]:
-    """The value, checked to be a mapping.
-
-    Raises:
-        CalibrationError: it is not a mapping.
-    """
+    """The value, checked to be a mapping."""
     if not isinstance(value, Mapping):
         raise CalibrationError(
             f"{where} is {shortened(value)}, not a section; see docs/calibration.md"
@@ -102,11 +90,7 @@ def shortened(value: Any) -> str:
 
 
 def load_document(path: Path) -> Document:
-    """Read a calibration file of any format as text and sections.
-
-    Raises:
-        CalibrationError: the file is missing, far too large or not text.
-    """
+    """Read a calibration file of any format as text and sections."""
     try:
         is_json = path.suffix.lower() == ".json"
         max_bytes = _MAX_LARGE_BYTES if is_json or is_npz(path) else MAX_YAML_BYTES

@@ -40,11 +40,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera.
-
-    Raises:
-        CalibrationError: the lens model is not supported, or a value is implausible.
-    """
+    """Read the camera."""
     lines = _lines(document)
     first, second = _FIRST_LINE.fullmatch(lines[0]), _SIZE_LINE.fullmatch(lines[1])
     assert first is not None
@@ -88,9 +84,6 @@ def _equidistant_of_fov(
 
     Returns:
         A factor for the focal lengths, and k1 to k4.
-
-    Raises:
-        CalibrationError: they differ by more than 0.1 px, or the lens sees more than 170 degrees.
 
     Source: Devernay and Faugeras, "Straight lines have to be straight", 2001, eq. 13 and 14.
     """

@@ -43,11 +43,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera; for cam0/sensor.yaml or a left one also that of the right camera, if any.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """Read the camera; for cam0/sensor.yaml or a left one also that of the right camera, if any."""
     cam0 = _camera(document, image_size)
     body_from_cam0 = _body_from_camera(document)
     partner = _partner(document.path)

@@ -22,14 +22,8 @@ def make_noise(
 ) -> ImuNoise | None:
     """The noise of a sensor; None if the file has none of its values.
 
-    Args:
-        where: file and section, for error messages.
-        values: the values of the section.
-        names: keys of the white noise of the gyroscope, its random walk, and the same of the
-            accelerometer.
-
-    Raises:
-        CalibrationError: some of the values are missing, negative, not finite or far too large.
+    `names`: keys of the white noise of the gyroscope, its random walk, and the same of the
+    accelerometer.
     """
     if not any(name in values for name in names):
         return None
@@ -48,11 +42,7 @@ def make_noise(
 
 
 def make_time_offset(where: str, value: Any) -> float:
-    """A time offset in seconds; 0 if it is missing. A large one causes a warning.
-
-    Raises:
-        CalibrationError: it is not a finite number.
-    """
+    """A time offset in seconds; 0 if it is missing. A large one causes a warning."""
     if value is None:
         return 0.0
     offset_s = make_number(where, value)

@@ -40,11 +40,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read cam0 and cam1, if any.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """Read cam0 and cam1, if any."""
     cam0 = _camera(document, "cam0", image_size)
     imu_from_cam0 = _imu_from_camera(document, "cam0")
     imu = ImuCalibration(

@@ -32,9 +32,6 @@ def kalibr_noise(document: Document) -> ImuNoise | None:
 
     Files beside are those with `imu` in their names. Several that differ cause a warning, and none
     of them is used.
-
-    Raises:
-        CalibrationError: a value is missing, negative or not finite.
     """
     own = _noise_in(document)
     if own is not None:

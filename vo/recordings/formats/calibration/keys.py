@@ -152,9 +152,6 @@ def camera_values(data: Mapping[str, Any]) -> Values:
     """The values of a file with a camera matrix, at the top or in the only section that has one.
 
     Values beside that section, such as the size of the images, belong to it.
-
-    Raises:
-        CalibrationError: several sections have one.
     """
     values = Values(data)
     if find_sides(values):
@@ -193,19 +190,7 @@ def is_matrix(value: Any) -> bool:
 def find_distortion(
     where: str, values: Values, matrix: Entry, side: str = "", *, model: str = "radtan"
 ) -> tuple[float, ...]:
-    """The distortion coefficients of a camera; none if the file says that there are none.
-
-    Args:
-        where: the file, for error messages.
-        values: its values.
-        matrix: the camera matrix, or what else the file has in its place.
-        side: mark of the camera in the names.
-        model: the distortion model, for coefficients with names.
-
-    Raises:
-        CalibrationError: there are no coefficients under any known name, so that the lens would be
-            taken for an ideal one; or there are two different ones.
-    """
+    """The distortion coefficients of a camera; none if the file says that there are none."""
     found = values.find_all(spelled(DISTORTION, side), _is_coefficients)
     lists = [coefficients_of(f"{where}: {e.key}", e.value, model) for e in found]
     if len(lists) > 1 and any(one != lists[0] for one in lists):
@@ -228,11 +213,7 @@ def find_distortion(
 
 
 def coefficients_of(where: str, value: Any, model: str = "radtan") -> tuple[float, ...]:
-    """Distortion coefficients of a list, a section with data, or one with k1, k2 and so on.
-
-    Raises:
-        CalibrationError: an element is not a finite number, or names and model do not agree.
-    """
+    """Distortion coefficients of a list, a section with data, or one with k1, k2 and so on."""
     if not isinstance(value, Mapping) or "data" in value:
         return make_list(where, value)
     named = {normalised(key): item for key, item in value.items()}
@@ -252,11 +233,7 @@ def coefficients_of(where: str, value: Any, model: str = "radtan") -> tuple[floa
 
 
 def size_of(where: str, values: Values, image_size: ImageSize | None) -> Any:
-    """Width and height in the file, unchecked, or else those of the images.
-
-    Raises:
-        CalibrationError: neither is known.
-    """
+    """Width and height in the file, unchecked, or else those of the images."""
     found = values.find(_SIZE_LISTS, lambda v: is_array(v) or isinstance(v, Mapping))
     section = None if found is None or is_array(found.value) else Values(found.value)
     for names in _SIZES:

@@ -25,13 +25,7 @@ def read(
 ) -> Calibration:
     """Read a pair of KITTI's four cameras, or the left one if the right one is missing.
 
-    Args:
-        document: the file.
-        image_size: width and height of the images, which the file does not contain.
-        cameras: the pair, left first: P0 and P1 are the grey cameras, P2 and P3 the colour ones.
-
-    Raises:
-        CalibrationError: the left camera or `image_size` is missing, or a value is implausible.
+    `cameras`: the pair, left first: P0 and P1 are the grey cameras, P2 and P3 the colour ones.
     """
     matrices = dict(_LINE.findall(document.text))
     left, right = cameras

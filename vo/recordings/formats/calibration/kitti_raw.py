@@ -36,13 +36,7 @@ def read(
     rectified (S_rect_00, P_rect_00), which KITTI calls `sync`. The body is the unrectified
     reference camera 00.
 
-    Args:
-        document: the file.
-        image_size: width and height of the images.
-        cameras: numbers of the pair, left first: 00 and 01 are grey, 02 and 03 in colour.
-
-    Raises:
-        CalibrationError: the left camera is missing, or a value is implausible.
+    `cameras`: numbers of the pair, left first: 00 and 01 are grey, 02 and 03 in colour.
     """
     lines = _Lines(document)
     left, right = cameras

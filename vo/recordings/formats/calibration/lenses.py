@@ -64,11 +64,7 @@ _NAMES: dict[str, DistortionModel] = {_compared(n): m for n, m in DISTORTION_NAM
 def make_lens(
     where: str, model: Any, coefficients: Any
 ) -> tuple[DistortionModel, tuple[float, ...]]:
-    """The lens model and its coefficients, given a name in `DISTORTION_NAMES` or None.
-
-    Raises:
-        CalibrationError: the name is unknown, or the number of coefficients is wrong.
-    """
+    """The lens model and its coefficients, given a name in `DISTORTION_NAMES` or None."""
     name = "none" if model is None else _NAMES.get(_compared(model))
     if name is None:
         raise CalibrationError(
@@ -103,11 +99,7 @@ def join_projection(
     parameters: tuple[float, ...],
     lens: tuple[DistortionModel, tuple[float, ...]],
 ) -> tuple[DistortionModel, tuple[float, ...]]:
-    """Combine a projection of `PROJECTIONS` and a distortion model into one lens model.
-
-    Raises:
-        CalibrationError: the combination is not supported.
-    """
+    """Combine a projection of `PROJECTIONS` and a distortion model into one lens model."""
     wide, names = PROJECTIONS[projection]
     if not names:
         return lens
@@ -121,11 +113,7 @@ def join_projection(
 
 
 def check_lens(where: str, camera: Camera) -> None:
-    """Check the parameters of a lens model.
-
-    Raises:
-        CalibrationError: a parameter is out of its range.
-    """
+    """Check the parameters of a lens model."""
     ranges: dict[str, tuple[float, float]] = {}
     if camera.distortion_model == "double_sphere":
         ranges = {"xi": (-0.999, 1.0), "alpha": (0.0, 1.0)}

@@ -43,11 +43,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the first camera and the second, if any.
-
-    Raises:
-        CalibrationError: a value is missing or implausible, or a model is not supported.
-    """
+    """Read the first camera and the second, if any."""
     if "cameras" not in document.data:
         return Calibration(Rig(_camera(document, {"camera": document.data}, 0, image_size)))
     entries = [

@@ -25,11 +25,7 @@ _log = logging.getLogger(__name__)
 def matrix_camera(
     where: str, *, resolution: Any, matrix: Any, distortion_model: Any, distortion: Any
 ) -> Camera:
-    """A camera from its 3x3 matrix K; the default distortion model is radtan.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """A camera from its 3x3 matrix K; the default distortion model is radtan."""
     k = make_matrix(f"{where}: camera matrix", matrix, 3, 3)
     _check_camera_matrix(where, k)
     coefficients = make_list(f"{where}: distortion", distortion)
@@ -73,11 +69,7 @@ _ZERO_IS_NONE = ("radtan", "plumb_bob", "rational_polynomial")
 
 
 def rotation_and_translation(where: str, rotation: Any, translation: Any) -> Floats:
-    """The (4, 4) transform of OpenCV's R (3x3) and T (three numbers).
-
-    Raises:
-        CalibrationError: a number is missing or R is not a rotation.
-    """
+    """The (4, 4) transform of OpenCV's R (3x3) and T (three numbers)."""
     r = make_rotation(f"{where}: rotation", rotation)
     t = make_list(f"{where}: translation", translation)
     if len(t) != 3:
@@ -86,11 +78,7 @@ def rotation_and_translation(where: str, rotation: Any, translation: Any) -> Flo
 
 
 def make_rotation(where: str, value: Any) -> Floats:
-    """A (3, 3) rotation, orthonormalised.
-
-    Raises:
-        CalibrationError: a number is missing or the matrix is not a rotation.
-    """
+    """A (3, 3) rotation, orthonormalised."""
     rotation = make_matrix(where, value, 3, 3)
     check_rotation(where, rotation)
     return orthonormalised(make_transform(rotation, np.zeros(3)))[:3, :3]
@@ -100,9 +88,6 @@ def make_projection(where: str, value: Any) -> tuple[Floats, Floats]:
     """A (3, 4) projection P = K [I | t] of a rectified camera, and t (3,).
 
     The rectified cameras of a rig have parallel axes, so that p_in_camera = p_in_common + t.
-
-    Raises:
-        CalibrationError: a number is missing or implausible.
     """
     p = make_matrix(f"{where}: projection matrix", value, 3, 4)
     if not (p[0, 0] > 1e-3 and p[1, 1] > 1e-3):
@@ -115,11 +100,7 @@ def make_projection(where: str, value: Any) -> tuple[Floats, Floats]:
 
 
 def common_from_camera(where: str, rotation: Any, projection: Any) -> Floats:
-    """(4, 4) from an unrectified camera to the common rectified frame of its rig, from R and P.
-
-    Raises:
-        CalibrationError: a number is missing or implausible.
-    """
+    """(4, 4) from an unrectified camera to the common rectified frame of its rig, from R and P."""
     _, t = make_projection(where, projection)
     r = np.eye(3) if rotation is None else make_rotation(f"{where}: rectification", rotation)
     return make_transform(r, -t)

@@ -42,11 +42,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera of all frames.
-
-    Raises:
-        CalibrationError: a value is missing or implausible, or the frames have several cameras.
-    """
+    """Read the camera of all frames."""
     return Calibration(Rig(_camera(document, image_size)))
 
 

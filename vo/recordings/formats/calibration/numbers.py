@@ -19,11 +19,7 @@ _MAX_IMAGE_SIDE = 100_000
 
 
 def make_resolution(where: str, value: Any) -> ImageSize:
-    """Width and height as positive whole numbers.
-
-    Raises:
-        CalibrationError: they are missing or not positive whole numbers.
-    """
+    """Width and height as positive whole numbers."""
     if value is None:
         raise CalibrationError(f"{where}: resolution is missing; add resolution: [width, height]")
     sides = make_numbers(f"{where}: resolution [width, height]", value, 2)
@@ -39,9 +35,6 @@ def make_numbers(what: str, value: Any, count: int | None = None) -> tuple[float
     """A list of finite numbers.
 
     Text that is a number is accepted, because YAML 1.1 reads `1e-3` as text.
-
-    Raises:
-        CalibrationError: not a list, not `count` long, or an element is not a finite number.
     """
     if not isinstance(value, Sequence) or isinstance(value, str | bytes):
         raise CalibrationError(f"{what} is {shortened(value)}; it must be a list of numbers")
@@ -51,11 +44,7 @@ def make_numbers(what: str, value: Any, count: int | None = None) -> tuple[float
 
 
 def make_number(what: str, value: Any) -> float:
-    """A finite number.
-
-    Raises:
-        CalibrationError: the value is not a finite number.
-    """
+    """A finite number."""
     try:
         number = math.nan if isinstance(value, bool) else float(value)
     except (TypeError, ValueError, OverflowError):
@@ -70,9 +59,6 @@ def make_matrix(what: str, value: Any, rows: int, columns: int) -> Floats:
     """A (rows, columns) matrix from a list of rows, a flat list, or a section with data.
 
     A section, as in EuRoC, ROS and OpenCV, has the keys rows, cols and data (row by row).
-
-    Raises:
-        CalibrationError: it has another shape, or an element is not a finite number.
     """
     if isinstance(value, Mapping):
         value = value.get("data")
@@ -85,11 +71,7 @@ def make_matrix(what: str, value: Any, rows: int, columns: int) -> Floats:
 
 
 def make_list(what: str, value: Any) -> tuple[float, ...]:
-    """All numbers of a list, a row, a column, or a section with data; empty if missing.
-
-    Raises:
-        CalibrationError: an element is not a finite number, or a section has no data.
-    """
+    """All numbers of a list, a row, a column, or a section with data; empty if missing."""
     if isinstance(value, Mapping):
         if "data" not in value:
             raise CalibrationError(f"{what} is {shortened(value)}; it must be a list of numbers")
@@ -105,9 +87,6 @@ def make_transform(where: str, value: Any) -> Floats:
     """A (4, 4) rigid transform from three or four rows of four, or a flat list of 12 or 16.
 
     The rotation is orthonormalised, because files contain rounded values.
-
-    Raises:
-        CalibrationError: a number is missing or the 3x3 part is not a rotation.
     """
     given = value.get("data") if isinstance(value, Mapping) else value
     size = len(given) if isinstance(given, Sequence) else 0
@@ -123,11 +102,7 @@ def make_transform(where: str, value: Any) -> Floats:
 
 
 def check_rotation(where: str, rotation: Floats) -> None:
-    """Refuse a (3, 3) matrix that is not a rotation.
-
-    Raises:
-        CalibrationError: it is not orthonormal up to rounding, or it is a reflection.
-    """
+    """Refuse a (3, 3) matrix that is not a rotation."""
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
         raise CalibrationError(

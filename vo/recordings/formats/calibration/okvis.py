@@ -42,11 +42,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the first camera and the second, if any.
-
-    Raises:
-        CalibrationError: a value is missing or implausible, or a model is not supported.
-    """
+    """Read the first camera and the second, if any."""
     entries = [
         as_section(f"{document.path}: camera {i}", each)
         for i, each in enumerate(document.data["cameras"][:2])

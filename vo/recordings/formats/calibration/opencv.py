@@ -50,11 +50,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read one camera or a pair.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """Read one camera or a pair."""
     try:
         values = keys.camera_values(document.data)
     except CalibrationError as error:
@@ -131,11 +127,7 @@ def _listed(entry: Entry) -> object:
 
 
 def _lens_model(where: str, values: Values, side: str) -> str:
-    """The distortion model that the file names; radtan if it names none.
-
-    Raises:
-        CalibrationError: it names one that is not supported.
-    """
+    """The distortion model that the file names; radtan if it names none."""
     flag = values.find(("fisheyemodel", "isfisheye", "fisheye"), lambda v: not keys.is_array(v))
     if flag is not None and str(flag.value).strip().lower() not in ("0", "false", "no", ""):
         return "equidistant"

@@ -49,11 +49,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read one camera, or two if the settings are for a stereo camera.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """Read one camera, or two if the settings are for a stereo camera."""
     data = document.data
     if "LEFT.K" in data:
         rig = _unrectified_pair(document, image_size)

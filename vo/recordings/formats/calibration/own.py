@@ -45,11 +45,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read one or two cameras.
-
-    Raises:
-        CalibrationError: a value is missing or implausible, or a key is unknown.
-    """
+    """Read one or two cameras."""
     _check_keys(str(document.path), document.data, _TOP_KEYS)
     cam0, imu = _camera(document, "cam0"), _imu(document)
     if "cam1" not in document.data and "baseline_m" not in document.data:
@@ -63,12 +59,6 @@ def write_calibration(
     path: Path | str, rig: Rig, comments: Sequence[str] = (), imu: ImuCalibration | None = None
 ) -> None:
     """Write a rig; reading the file returns the same numbers exactly.
-
-    Args:
-        path: the file.
-        rig: the cameras.
-        comments: lines of comment at the top of the file.
-        imu: the inertial sensor; None to leave it out.
 
     Raises:
         OutputError: the file cannot be written.

@@ -76,10 +76,8 @@ _OPENVINS_CHAIN = "relative_config_imucam"
 def read_calibration(path: Path | str, image_size: ImageSize | None = None) -> Calibration:
     """Read a calibration file of any supported format.
 
-    Args:
-        path: the file.
-        image_size: width and height of the images, for files that do not contain them (KITTI, some
-            of OpenCV and ORB-SLAM) or contain several (KITTI raw, ZED).
+    `image_size`: width and height of the images, for files that do not contain them (KITTI, some of
+    OpenCV and ORB-SLAM) or contain several (KITTI raw, ZED).
 
     Raises:
         CalibrationError: the file is missing, of an unknown format, or a value is implausible.

@@ -54,11 +54,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera; for a left one also the right camera, if its file is beside it.
-
-    Raises:
-        CalibrationError: a value is missing or implausible.
-    """
+    """Read the camera; for a left one also the right camera, if its file is beside it."""
     cam0 = _camera(document, image_size)
     partner = partner_of(document.path)
     if partner is None:

@@ -31,11 +31,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read one camera, or two if the settings are for a stereo camera.
-
-    Raises:
-        CalibrationError: a value is missing or implausible, or the model is not supported.
-    """
+    """Read one camera, or two if the settings are for a stereo camera."""
     camera = _section(document, "Camera")
     setup = str(camera.get("setup", "monocular")).strip().lower()
     if setup not in _SETUPS:

@@ -42,12 +42,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read both cameras, for the resolution of the images.
-
-    Raises:
-        CalibrationError: there is no section for images of this size, or a value is missing or
-            implausible.
-    """
+    """Read both cameras, for the resolution of the images."""
     name = _resolution(document, image_size)
     sections = _sections(document)
     cam0 = _camera(document, sections, f"LEFT_CAM_{name}")

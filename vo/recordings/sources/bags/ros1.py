@@ -44,12 +44,7 @@ def open_rosbag1(
     topics: Sequence[str] = (),
     right_offset_ns: int | None = None,
 ) -> Recording:
-    """Open a bag; of a truncated bag, the readable part.
-
-    Raises:
-        SourceError: it is not a bag, has no images, or the choice of topics is ambiguous.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """Open a bag; of a truncated bag, the readable part."""
     return open_log(Bag(path), "rosbag1", calibration, mode, topics, right_offset_ns)
 
 
@@ -71,11 +66,7 @@ class Bag:
     """A `Log` in a ROS 1 bag; the file is open only during reads."""
 
     def __init__(self, path: Path) -> None:
-        """Read the index of the bag; a bag without an index is scanned.
-
-        Raises:
-            SourceError: it is not a bag, or it cannot be read.
-        """
+        """Read the index of the bag; a bag without an index is scanned."""
         self.path = path
         self._chunks: list[Chunk] = []
         self._connections: dict[int, Connection] = {}
@@ -115,11 +106,7 @@ class Bag:
         return found
 
     def read(self, entry: Entry) -> bytes:
-        """Read the bytes of a message.
-
-        Raises:
-            SourceError: the message is damaged, or the file cannot be read.
-        """
+        """Read the bytes of a message."""
         address: _Address = entry.address
         data = self._cache.get(address.chunk)
         return data[address.start : address.start + address.length]

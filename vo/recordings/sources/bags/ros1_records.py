@@ -32,9 +32,7 @@ class Record(NamedTuple):
     """A record.
 
     Attributes:
-        fields: fields of its header, by name.
         start: position of its data in the file or in the decompressed chunk.
-        length: length of its data.
         data: its data; empty for chunks.
     """
 
@@ -83,9 +81,6 @@ class Chunk:
     """Position of a chunk's data in the file.
 
     Attributes:
-        start: position of the first byte.
-        length: stored length.
-        compression: `none`, `bz2` or `lz4`.
         size: its size when decompressed, as stated; None if it is not.
         connections: connections with messages in it; empty if unknown.
     """
@@ -115,11 +110,7 @@ class ChunkCache:
         self._cached: OrderedDict[int, bytes] = OrderedDict()
 
     def get(self, number: int) -> bytes:
-        """The records of a chunk.
-
-        Raises:
-            SourceError: it cannot be read or decompressed.
-        """
+        """The records of a chunk."""
         with self._lock:
             data = self._cached.get(number)
             if data is None:

@@ -35,12 +35,7 @@ def open_rosbag2(
     topics: Sequence[str] = (),
     right_offset_ns: int | None = None,
 ) -> Recording:
-    """Open a bag; metadata.yaml is optional, because it is missing after a crash.
-
-    Raises:
-        SourceError: it is not a bag, has no images, or the choice of topics is ambiguous.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """Open a bag; metadata.yaml is optional, because it is missing after a crash."""
     return open_log(Bag(path), "rosbag2", calibration, mode, topics, right_offset_ns)
 
 
@@ -53,11 +48,7 @@ class Bag:
     """A `Log` in one or more files."""
 
     def __init__(self, path: Path) -> None:
-        """Open all existing files.
-
-        Raises:
-            SourceError: there are none, or one is not part of a bag.
-        """
+        """Open all existing files."""
         self.path = path
         self._decompressed: Path | None = None
         found = _metadata(path)
@@ -76,11 +67,7 @@ class Bag:
         return joined
 
     def read(self, entry: Entry) -> bytes:
-        """Read the bytes of a message.
-
-        Raises:
-            SourceError: the message is damaged.
-        """
+        """Read the bytes of a message."""
         address: tuple[int, Entry] = entry.address
         return self._parts[address[0]].read(address[1])
 

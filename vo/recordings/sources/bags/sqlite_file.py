@@ -29,12 +29,7 @@ class SqliteFile:
     def __init__(self, path: Path, *, compressed: bool = False) -> None:
         """List the topics.
 
-        Args:
-            path: the file.
-            compressed: whether each message is compressed (zstd).
-
-        Raises:
-            SourceError: it is not such a file, or its tables cannot be read.
+        `compressed`: whether each message is compressed (zstd).
         """
         self.path = path
         self._compressed = compressed
@@ -65,11 +60,7 @@ class SqliteFile:
             return {name: self._entries(database, name) for name in names if name in self._number}
 
     def read(self, entry: Entry) -> bytes:
-        """Read the bytes of a message.
-
-        Raises:
-            SourceError: the message is damaged, or the file cannot be read.
-        """
+        """Read the bytes of a message."""
         with self._opened() as database:
             row = database.execute("SELECT data FROM messages WHERE id = ?", (entry.address,))
             found = row.fetchone()

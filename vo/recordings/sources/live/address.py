@@ -32,7 +32,6 @@ class LiveAddress:
     """Where the images come from.
 
     Attributes:
-        kind: kind of the source.
         targets: for a camera, numbers or device files; for a network stream, URLs; otherwise
             a serial number, or nothing for the first device. Two are a stereo pair, left first.
     """
@@ -55,9 +54,6 @@ def parse_address(text: str) -> LiveAddress | None:
     `camera:0`, `camera:/dev/video0` and `/dev/video0` are cameras of this machine, `rtsp://…` and
     `http://…` streams; `camera:0,1` and `rtsp://a,rtsp://b` pairs; `realsense:`, `oak:` and `zed:`
     stereo cameras, with an optional serial number.
-
-    Raises:
-        SourceError: it names more than two cameras, or a camera by neither number nor file.
     """
     if _URL.match(text):
         return _checked(LiveAddress(LiveKind.NETWORK, tuple(_NEXT.split(text))))

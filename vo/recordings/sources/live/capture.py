@@ -26,10 +26,6 @@ class Capture:
         gaps: times without images because the connection was lost.
         rig: calibration from the factory, as soon as images have come; None without one.
         has_stopped: whether `stop` was called.
-
-    Args:
-        name: of the source, for messages.
-        connect: connects to the device, at first and whenever the connection is lost.
     """
 
     def __init__(self, name: str, connect: Connect) -> None:
@@ -49,11 +45,7 @@ class Capture:
         self._thread.start()
 
     def take(self, timeout_s: float) -> CapturedImages | None:
-        """Wait for images newer than those taken before; None after the timeout or `stop`.
-
-        Raises:
-            SourceError: the device could not be opened.
-        """
+        """Wait for images newer than those taken before; None after the timeout or `stop`."""
         give_up = time.monotonic() + timeout_s
         with self._changed:
             # Short waits, because `stop` is called by a signal, which cannot wake this thread.

@@ -60,9 +60,7 @@ class CaptureStamps:
     def stamp(self, arrival_ns: int, own_ns: int | None = None) -> int:
         """Stamp of the next image, later than those before.
 
-        Args:
-            arrival_ns: its arrival on the host's clock, later than that of the image before.
-            own_ns: its time in the stream, from an unknown origin; None without one.
+        `own_ns`: its time in the stream, from an unknown origin; None without one.
         """
         stamp_ns = arrival_ns
         if own_ns is not None:

@@ -29,20 +29,7 @@ _M_PER_CM = 1e-2
 
 
 class Oak:
-    """A `Device` for a camera through `depthai`.
-
-    Attributes:
-        rig: the factory calibration.
-
-    Args:
-        serial: device ID, name or address; None for the first camera.
-        clock: the host's clock.
-
-    Raises:
-        MissingExtraError: `depthai` is not installed.
-        SourceError: there is no such camera, or it has no two grey cameras.
-        CalibrationError: its calibration is missing or not supported.
-    """
+    """A `Device` for a camera through `depthai`."""
 
     def __init__(self, serial: str | None, clock: HostClock) -> None:
         self._dai: Any = require("depthai", "oak", "OAK cameras")

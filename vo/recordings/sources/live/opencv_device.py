@@ -55,9 +55,6 @@ class OpenCvDevice:
     """A `Device` around an opened capture.
 
     Args:
-        name: for messages.
-        capture: the opened capture.
-        clock: the host's clock.
         has_times: whether the capture's own times can be used for stamps.
     """
 
@@ -98,14 +95,7 @@ def open_camera(
 ) -> OpenCvDevice:
     """Open a camera of this machine.
 
-    Args:
-        target: its number, or its device file.
-        size: width and height to request; None for the camera's default.
-        clock: the host's clock.
-        open_capture: in place of `cv2.VideoCapture`.
-
-    Raises:
-        SourceError: there is no such camera, or another program uses it.
+    `size`: width and height to request; None for the camera's default.
     """
     name = f"camera:{target}" if target.isdigit() else target
     capture = _opened(
@@ -126,11 +116,7 @@ def open_camera(
 def open_opencv_stream(
     url: str, clock: HostClock, open_capture: OpenCapture | None = None
 ) -> OpenCvDevice:
-    """Connect to a network stream.
-
-    Raises:
-        SourceError: it does not answer within 5 s, or it is no video.
-    """
+    """Connect to a network stream."""
     name = without_credentials(url)
     timeouts = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _TIMEOUT_MS]
     timeouts += [cv2.CAP_PROP_READ_TIMEOUT_MSEC, _TIMEOUT_MS]

@@ -37,7 +37,6 @@ class LiveOptions:
     """How a live source is used.
 
     Attributes:
-        side_by_side: whether each image has the left and the right one beside each other.
         timeout_s: time without images after which it ends.
         duration_s: time after which it ends anyway.
     """
@@ -54,12 +53,6 @@ def open_live(
     options: LiveOptions = LiveOptions(),
 ) -> LiveFrames:
     """Connect to a live source and wait for its first images.
-
-    Args:
-        address: the source.
-        calibration: file of the calibration.
-        mode: as in `open_source`.
-        options: how it is used.
 
     Raises:
         SourceError: it does not answer, or gives no images.

@@ -23,11 +23,7 @@ _TIMEOUT_S = 5.0
 
 
 class SideBySideDevice:
-    """Divides the images of a device into a left and a right half.
-
-    Args:
-        device: gives images with both halves.
-    """
+    """Divides the images of a device into a left and a right half."""
 
     def __init__(self, device: Device) -> None:
         self.rig: Rig | None = None
@@ -48,14 +44,6 @@ class PairedDevices:
 
     The devices run freely, so the two images of a pair differ by up to `PAIR_TOLERANCE_NS`. The
     stamp of a pair is that of its left image.
-
-    Args:
-        name: of both devices, for messages.
-        connect_left: connects to the left device.
-        connect_right: connects to the right device.
-
-    Raises:
-        SourceError: one of them does not answer.
     """
 
     def __init__(self, name: str, connect_left: Connect, connect_right: Connect) -> None:

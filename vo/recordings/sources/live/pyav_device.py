@@ -35,15 +35,7 @@ logging.getLogger("libav").addHandler(logging.NullHandler())
 
 
 class PyAvStream:
-    """A `Device` for a network stream.
-
-    Args:
-        url: its address.
-        clock: the host's clock.
-
-    Raises:
-        SourceError: it does not answer within 5 s, is no video, or is a file.
-    """
+    """A `Device` for a network stream."""
 
     def __init__(self, url: str, clock: HostClock) -> None:
         self.rig: Rig | None = None

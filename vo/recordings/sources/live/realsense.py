@@ -25,20 +25,7 @@ _NS_PER_MS = 1e6
 
 
 class RealSense:
-    """A `Device` for a camera through `pyrealsense2`.
-
-    Attributes:
-        rig: the factory calibration.
-
-    Args:
-        serial: serial number; None for the first camera.
-        clock: the host's clock.
-
-    Raises:
-        MissingExtraError: `pyrealsense2` is not installed.
-        SourceError: there is no such camera, or it has no two infrared cameras.
-        CalibrationError: its calibration is not supported.
-    """
+    """A `Device` for a camera through `pyrealsense2`."""
 
     def __init__(self, serial: str | None, clock: HostClock) -> None:
         self._rs: Any = require("pyrealsense2", "realsense", "RealSense cameras")

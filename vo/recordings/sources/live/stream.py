@@ -23,11 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 class FrameTap(Protocol):
-    """Receives every frame that is handed out, for example to record it; must not wait.
-
-    Attributes:
-        unrecorded: number of frames that it has left out.
-    """
+    """Receives every frame that is handed out, for example to record it; must not wait."""
 
     unrecorded: int
 
@@ -45,14 +41,7 @@ class LiveFrames:
 
     Frames are numbered as they are handed out. Images are grey, whatever kind is asked for.
 
-    Attributes:
-        tap: receives every frame; None for nothing.
-
     Args:
-        name: of the source, without passwords.
-        rig: the cameras.
-        capture: gives the images.
-        clock: the host's clock.
         timeout_s: time without images after which the stream ends.
         duration_s: time after which it ends anyway.
     """
@@ -110,11 +99,7 @@ class LiveFrames:
     def frames(
         self, start: int = 0, end: int | None = None, stride: int = 1, images: ImageKind = "grey"
     ) -> Iterator[Frame]:
-        """Hand out frames start, start + stride, ... below end, as they come.
-
-        Raises:
-            SourceError: the size of the images has changed.
-        """
+        """Hand out frames start, start + stride, ... below end, as they come."""
         self._capture.forget()
         ends_at = time.monotonic() + self._duration_s
         number = 0

@@ -21,20 +21,7 @@ _RATE_HZ = 30
 
 
 class Zed:
-    """A `Device` for a camera through `pyzed`.
-
-    Attributes:
-        rig: the factory calibration of the rectified images.
-
-    Args:
-        serial: serial number; None for the first camera.
-        clock: the host's clock.
-
-    Raises:
-        MissingExtraError: `pyzed` is not installed.
-        SourceError: there is no such camera, or the serial number is no number.
-        CalibrationError: its calibration is implausible.
-    """
+    """A `Device` for a camera through `pyzed`."""
 
     def __init__(self, serial: str | None, clock: HostClock) -> None:
         self._sl = _pyzed()

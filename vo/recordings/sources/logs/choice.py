@@ -42,15 +42,8 @@ class ChosenTopics:
 def choose_topics(topics: Sequence[Topic], options: Sequence[str], mode: Mode) -> ChosenTopics:
     """The topics given by the user, or else those detected by their names.
 
-    Args:
-        topics: all readable topics of the log.
-        options: values of `--topic`: `left=/a`, `right=/b`, `truth=/c`, `imu=/d`, or one name for
-            the left camera.
-        mode: with `mono`, no right camera is chosen.
-
-    Raises:
-        SourceError: there are no images, a given topic does not exist, or the choice among several
-            cameras is ambiguous; the message lists the topics.
+    `options`: values of `--topic`: `left=/a`, `right=/b`, `truth=/c`, `imu=/d`, or one name for the
+    left camera.
     """
     named = _parse(options)
     images = [topic for topic in topics if issubclass(topic.codec.kind, IMAGE_KINDS)]

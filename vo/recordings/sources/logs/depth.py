@@ -44,11 +44,7 @@ class DepthMessage:
         return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
 
     def read(self, colour: bool = False) -> Pixels:
-        """Depth in millimetres, as uint16 or float32; `colour` has no effect.
-
-        Raises:
-            SourceError: the message is damaged, or its encoding is unknown.
-        """
+        """Depth in millimetres, as uint16 or float32; `colour` has no effect."""
         try:
             message = self.topic.codec.decode(self.log.read(self.entry))
             if isinstance(message, ImageMessage):
@@ -77,14 +73,7 @@ def find_depth(
     frame: str,
     entries: Mapping[str, Sequence[Entry]],
 ) -> list[Shot] | None:
-    """The depth images registered to a camera, which have its frame; None if there are none.
-
-    Args:
-        log: the log.
-        topics: candidates for depth topics.
-        frame: frame of the camera.
-        entries: messages by topic.
-    """
+    """The depth images registered to a camera, which have its frame; None if there are none."""
     for topic in topics:
         listed = entries[topic.name]
         first = next(filter(None, (_frame(log, topic, entry) for entry in listed[:10])), None)

@@ -56,9 +56,6 @@ def list_images(
     """The images of a topic, sorted by stamp (see `message_stamps`).
 
     Of messages with the same stamp, the first is used, with a warning.
-
-    Raises:
-        SourceError: there are no images.
     """
     return list_shots(log, topic, entries, image_factory(log, topic, entries), faults)
 
@@ -100,14 +97,8 @@ def sorted_by_stamp(
 def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[[int], StoredImage]:
     """A function that creates the image of a message, given its number.
 
-    Args:
-        log: the log.
-        topic: topic of the images.
-        entries: all messages of the topic in the order of the log, as video frames depend on
-            earlier ones; may grow.
-
-    Raises:
-        MissingExtraError: they are frames of a video, and PyAV is not installed.
+    `entries`: all messages of the topic in the order of the log, as video frames depend on earlier
+    ones; may grow.
     """
     if not issubclass(topic.codec.kind, CompressedVideoMessage):
         return lambda number: MessageImage(log, topic, entries[number])

@@ -34,11 +34,7 @@ class LogImu:
     ) -> None:
         """Store the topic; nothing is read yet.
 
-        Args:
-            log: the log.
-            topic: topic of the samples.
-            find_extrinsics: finds cam0_from_imu or None, given the frame of the sensor.
-            given: calibration given by the user, which is preferred.
+        `find_extrinsics`: finds cam0_from_imu or None, given the frame of the sensor.
         """
         self.name = topic.name
         given = given or ImuCalibration()
@@ -120,11 +116,7 @@ class LogImu:
 
 
 def imu_topics(topics: Sequence[Topic], named: str | None = None) -> list[Topic]:
-    """Topics of inertial sensors, by number of samples; a topic given by the user comes first.
-
-    Raises:
-        SourceError: the given topic is not one of an inertial sensor.
-    """
+    """Topics of inertial sensors, by number of samples; a topic given by the user comes first."""
     found = [topic for topic in topics if issubclass(topic.codec.kind, ImuMessage)]
     found.sort(key=lambda topic: (-topic.count, topic.name))
     if named is None:

@@ -76,14 +76,7 @@ def log_imus(
     find_extrinsics: Callable[[str], Floats | None],
     given: ImuCalibration | None = None,
 ) -> list[Imu]:
-    """The inertial sensors of a log in the order of topics; gyro and accel topics are joined.
-
-    Args:
-        log: the log.
-        topics: topics of inertial sensors.
-        find_extrinsics: finds cam0_from_imu or None, given the frame of a sensor.
-        given: calibration given by the user, which is preferred.
-    """
+    """The inertial sensors of a log in the order of topics; gyro and accel topics are joined."""
     single = {topic.name: LogImu(log, topic, find_extrinsics, given) for topic in topics}
     partners = {name: _GYRO.sub("accel", name) for name in single if _GYRO.search(name)}
     partners = {gyro: accel for gyro, accel in partners.items() if accel in single}

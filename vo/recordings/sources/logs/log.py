@@ -16,7 +16,6 @@ class Entry(NamedTuple):
     """Location of a message; small, as hours of recording have several 100,000 messages.
 
     Attributes:
-        log_ns: log time.
         stamp_ns: stamp in the header of the message; None if reading it requires decoding.
         address: address of the message, in a form specific to the container.
     """
@@ -31,10 +30,6 @@ class Topic:
     """A topic whose messages can be decoded.
 
     Attributes:
-        name: name, such as `/cam0/image_raw`.
-        schema: name of the message type, as stored.
-        codec: decoder of the messages.
-        count: number of messages.
         span_ns: time between the first and the last message, 0 if unknown.
     """
 

@@ -39,17 +39,7 @@ def open_log(
 ) -> ImageSequence:
     """Create a source from a log.
 
-    Args:
-        log: the log.
-        format: name of the container in the registry.
-        calibration: file that overrides the calibration in the log.
-        mode: as in `open_source`.
-        topics: values of `--topic`.
-        right_offset_ns: as in `open_source`.
-
-    Raises:
-        SourceError: there are no images, or the choice of topics is ambiguous.
-        CalibrationError: the calibration is missing or invalid.
+    `calibration`: file that overrides the calibration in the log.
     """
     choice = choose_topics(log.topics, topics, mode)
     opened = _ChosenLog(log, choice)

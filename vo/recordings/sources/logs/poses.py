@@ -72,13 +72,7 @@ def choose_pose_source(log: Log, role: str, named: str | None) -> PoseSource:
     Without a name, truth is the only topic named like ground truth, and an estimate the only other
     one.
 
-    Args:
-        log: the log.
-        role: `truth` or `estimate`.
-        named: `TOPIC`, or `TOPIC:PARENT:CHILD` for frames of tf.
-
-    Raises:
-        SourceError: there are no such poses, or several; the message lists them.
+    `named`: `TOPIC`, or `TOPIC:PARENT:CHILD` for frames of tf.
     """
     sources = list_pose_sources(log)
     if named is not None:
@@ -99,11 +93,7 @@ def choose_pose_source(log: Log, role: str, named: str | None) -> PoseSource:
 
 
 def read_poses(log: Log, source: PoseSource) -> LoggedPoses:
-    """Read poses as they were logged.
-
-    Raises:
-        SourceError: no pose can be read, or no transforms connect the frames.
-    """
+    """Read poses as they were logged."""
     if source.frames is not None:
         return LoggedPoses(_between_frames(log, *source.frames), source.frames[1])
     topic = source.topic
@@ -111,11 +101,7 @@ def read_poses(log: Log, source: PoseSource) -> LoggedPoses:
 
 
 def poses_on_topic(log: Log, topic: Topic, entries: Sequence[Entry]) -> LoggedPoses:
-    """Read the poses of a topic; of paths, which are published again and again, the latest.
-
-    Raises:
-        SourceError: no pose can be read.
-    """
+    """Read the poses of a topic; of paths, which are published again and again, the latest."""
     poses: dict[int, Floats] = {}
     child, reason, unreadable = "", "", 0
     is_path = issubclass(topic.codec.kind, PathMessage)

@@ -25,7 +25,6 @@ class LogCamera:
     """A camera of a log.
 
     Attributes:
-        topic: topic of its images.
         frame: its coordinate frame, that of its first image.
         calibration: its first calibration message.
         is_rectified: whether its images are rectified, and thus without distortion.
@@ -60,18 +59,7 @@ def find_camera(
     calibrations: Sequence[Topic],
     entries: Mapping[str, Sequence[Entry]],
 ) -> LogCamera:
-    """Find the calibration of an image topic, by topic name or else by frame.
-
-    Args:
-        log: the log.
-        image: topic of the images.
-        frame: frame of the images.
-        calibrations: topics of calibrations.
-        entries: messages by topic.
-
-    Raises:
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """Find the calibration of an image topic, by topic name or else by frame."""
     space, _, last = base_name(image.name).rpartition("/")
     same = [t for t in calibrations if t.name.rpartition("/")[0] in (space, f"{space}/{last}")]
     by_name = same if len(same) == 1 else []
@@ -94,11 +82,7 @@ def find_camera(
 
 
 def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floats:
-    """Extrinsics of the right camera, from the frame tree or from the rectification.
-
-    Raises:
-        CalibrationError: both are unknown, or the optical axes differ by more than 60 degrees.
-    """
+    """Extrinsics of the right camera, from the frame tree or from the rectification."""
     by_projection = _from_projections(left, right)
     by_frames = None
     if left.frame and right.frame and left.frame != right.frame:
@@ -147,12 +131,7 @@ def _offset(camera: LogCamera) -> Floats:
 
 
 def _first_message(log: Log, topic: Topic, entries: Sequence[Entry]) -> CalibrationMessage:
-    """The first readable message.
-
-    Raises:
-        CalibrationError: its calibration is invalid.
-        SourceError: no message can be read.
-    """
+    """The first readable message."""
     reason = ""
     for entry in entries[:_MAX_MESSAGES]:
         try:

@@ -36,11 +36,7 @@ def message_stamps(
     most are repetitions. Where the clock of the headers was set back, the order of the log is kept
     by moving the later stamps forward. Each is reported by a warning.
 
-    Args:
-        log: the log.
-        topic: topic of the messages.
-        entries: the messages in the order of the log.
-        faults: receives a clock that was set back.
+    `faults`: receives a clock that was set back.
     """
     stamps = [stamp_of(log, topic, entry) for entry in entries]
     log_ns = [entry.log_ns for entry in entries]

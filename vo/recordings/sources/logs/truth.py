@@ -13,11 +13,7 @@ from vo.recordings.sources.logs.poses import POSE_KINDS, named_like_truth, poses
 
 
 def find_truth_topic(topics: Sequence[Topic], named: str | None) -> Topic | None:
-    """The topic given by the user, or else the first pose topic named like ground truth.
-
-    Raises:
-        SourceError: the given topic has no poses.
-    """
+    """The topic given by the user, or else the first pose topic named like ground truth."""
     poses = [topic for topic in topics if issubclass(topic.codec.kind, POSE_KINDS)]
     if named is None:
         return next((topic for topic in poses if named_like_truth(topic.name)), None)
@@ -40,17 +36,6 @@ def read_truth(
 
     Poses without a child frame are assumed to be those of the topmost frame that is fixed to cam0,
     the base of the robot.
-
-    Args:
-        log: the log.
-        topic: topic of the poses.
-        entries: its messages.
-        cam0: frame of the left camera.
-        frames: the fixed transforms.
-        calibration: may contain the pose of cam0 on the body.
-
-    Raises:
-        SourceError: no pose can be read, or that of the camera on the body is unknown.
     """
     logged = poses_on_topic(log, topic, entries)
     child = logged.child

@@ -45,11 +45,7 @@ class LogVideo:
         self._decoded: dict[int, VideoFrame] = {}
 
     def read(self, number: int, colour: bool = False) -> Bytes:
-        """Read a frame as (H, W) grey, or as (H, W, 3) with `colour` if it has colour.
-
-        Raises:
-            SourceError: it is damaged, or there is no key frame before it.
-        """
+        """Read a frame as (H, W) grey, or as (H, W, 3) with `colour` if it has colour."""
         with self._lock:
             try:
                 return frame_pixels(self._read(number), colour)
@@ -134,9 +130,6 @@ class VideoImage:
 
 def is_keyframe(data: bytes, codec: str) -> bool:
     """Whether decoding can start at a frame: it begins with parameter sets or a key picture.
-
-    Raises:
-        SourceError: the codec is unknown.
 
     Source: ITU-T H.264, table 7-1; H.265, table 7-1 (types of NAL units).
     """

@@ -28,7 +28,6 @@ class Chunk:
     """A chunk of the file.
 
     Attributes:
-        header: its header.
         stored: number of bytes of its data in the file; fewer than `header.size` if truncated.
         channels: numbers of the channels with messages in it; None if unknown.
     """

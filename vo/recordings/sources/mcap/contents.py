@@ -41,12 +41,9 @@ class FileContents:
     """Contents of a file.
 
     Attributes:
-        index: channels, schemas and statistics.
-        chunks: chunks of messages, in the order of the file.
         is_listed: whether the index lists the messages too.
         end: number of valid bytes.
         damage: the reason why the scan ended there; None if the file was closed properly.
-        damaged_chunks: number of damaged chunks.
     """
 
     index: MessageIndex

@@ -23,12 +23,7 @@ class McapFile:
     def __init__(self, path: Path, contents: FileContents | None = None) -> None:
         """Read the contents of the file; one without a valid summary is scanned once.
 
-        Args:
-            path: the file.
-            contents: the contents, for a file that is still growing.
-
-        Raises:
-            SourceError: it is not an MCAP file, or it cannot be read.
+        `contents`: the contents, for a file that is still growing.
         """
         self.path = path
         try:
@@ -55,11 +50,7 @@ class McapFile:
         }
 
     def read(self, entry: Entry) -> bytes:
-        """Read the bytes of a message.
-
-        Raises:
-            SourceError: the message is damaged, or the file cannot be read.
-        """
+        """Read the bytes of a message."""
         address: MessageAddress = entry.address
         try:
             if address.chunk == NO_CHUNK:

@@ -44,21 +44,13 @@ class GrowingFile:
         self.has_ended = False
 
     def wait_for_cameras(self) -> McapFile:
-        """Wait until a topic has some images, and open the file.
-
-        Raises:
-            SourceError: it is not an MCAP file, or it cannot be read.
-        """
+        """Wait until a topic has some images, and open the file."""
         while not self.has_ended and self._max_image_count() < _MIN_IMAGES:
             self.wait()
         return McapFile(self.path, self._contents)
 
     def wait(self) -> None:
-        """Scan new records, or wait for a short time if there are none.
-
-        Raises:
-            SourceError: it is not an MCAP file, or it cannot be read.
-        """
+        """Scan new records, or wait for a short time if there are none."""
         try:
             size = self.path.stat().st_size
             with self.path.open("rb") as stream:

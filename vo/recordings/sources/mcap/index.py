@@ -55,9 +55,6 @@ class MessageIndex:
     """Index built from records.
 
     Attributes:
-        channels: channels by number.
-        schemas: schemas by number.
-        statistics: statistics by channel number.
         entries: messages by channel number, for channels that can be decoded.
         codecs: decoder by channel number; None for unsupported message types.
         listed: numbers of the channels whose messages are listed; None for all.
@@ -75,12 +72,8 @@ class MessageIndex:
     ) -> None:
         """Add all records of a byte range.
 
-        Args:
-            stream: the file, or the decompressed data of a chunk.
-            start: first byte of the range.
-            end: end of the range.
-            chunk: number of the chunk; `NO_CHUNK` outside of chunks.
-            offset: position in the stream at which the data of the chunk begins.
+        `chunk`: number of the chunk; `NO_CHUNK` outside of chunks.
+        `offset`: position in the stream at which the data of the chunk begins.
 
         Raises:
             Damaged: a record is invalid; the records before it have been added.

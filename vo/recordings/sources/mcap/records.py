@@ -91,10 +91,7 @@ def records_between(stream: Readable, start: int, end: int) -> Iterator[Record]:
 def read_chunk_header(stream: Readable, start: int, end: int) -> ChunkHeader:
     """Read the header of a chunk.
 
-    Args:
-        stream: the file.
-        start: start of the content of the record.
-        end: end of the content of the record; 0 if unknown.
+    `end`: end of the content of the record; 0 if unknown.
 
     Raises:
         Damaged: the header is invalid, or the data exceeds a known end.

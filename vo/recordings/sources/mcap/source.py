@@ -21,21 +21,7 @@ def open_mcap(
     right_offset_ns: int | None = None,
     follow: bool = False,
 ) -> Recording:
-    """Open an MCAP file.
-
-    Args:
-        path: the file.
-        calibration: file that overrides the calibration in the log.
-        mode: as in `open_source`.
-        topics: `left=/a`, `right=/b` or one name; by default detected.
-        right_offset_ns: as in `open_source`.
-        follow: whether it is still being written; frames are then read as they arrive, until the
-            file is closed or has stopped growing.
-
-    Raises:
-        SourceError: it is not an MCAP file, has no images, or the choice of topics is ambiguous.
-        CalibrationError: the calibration is missing or invalid.
-    """
+    """Open an MCAP file."""
     if not follow:
         return open_log(McapFile(path), "mcap", calibration, mode, topics, right_offset_ns)
     growing = GrowingFile(path)
