@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 from vo.base.errors import CalibrationError
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.cli.app import app
+from vo.recordings.formats.calibration.checks import make_noise
 from vo.recordings.formats.calibration.document import load_document
-from vo.recordings.formats.calibration.imu import make_noise
-from vo.recordings.formats.calibration.kalibr_imu import NOISE_KEYS
+from vo.recordings.formats.calibration.kalibr import NOISE_KEYS
 from vo.tools.calibrating.allan import allan_curve, fit_terms
 from vo.tools.calibrating.imu_noise import measure_noise, warnings_of
 

@@ -70,9 +70,8 @@ def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Cam
         coefficients = coefficients[: counts[-1]]
     return make_camera(
         f"calibration message of '{raw.frame}'",
-        model="pinhole",
-        resolution=[raw.size[0] // binning[0], raw.size[1] // binning[1]],
-        intrinsics=[float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
-        distortion_model=model,
-        distortion=coefficients,
+        [raw.size[0] // binning[0], raw.size[1] // binning[1]],
+        [float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
+        model,
+        coefficients,
     )

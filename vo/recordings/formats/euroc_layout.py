@@ -12,8 +12,8 @@ from typing import NamedTuple
 from vo.base.errors import CalibrationError
 from vo.base.types import Floats
 from vo.recordings.formats.calibration import Calibration, read_calibration
-from vo.recordings.formats.calibration.checks import make_transform
 from vo.recordings.formats.calibration.document import load_document
+from vo.recordings.formats.calibration.numbers import make_transform
 
 _CHAIN = "camchain.yaml"
 

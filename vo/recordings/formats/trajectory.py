@@ -13,7 +13,7 @@ from vo.base.errors import OutputError, SourceError
 from vo.base.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
 from vo.base.printable import counted
 from vo.base.types import Floats, Ints, Trajectory
-from vo.recordings.formats.nerf_poses import read_nerf_poses
+from vo.recordings.formats.calibration.nerf import read_nerf_poses
 from vo.recordings.formats.stamp_units import StampText, parse_stamps, stamp_ns_from_seconds
 from vo.recordings.formats.table import Line, check_columns, parse_columns, read_table
 

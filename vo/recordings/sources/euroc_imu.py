@@ -12,10 +12,10 @@ from vo.base.errors import VoError
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
 from vo.recordings.formats.calibration import Calibration
-from vo.recordings.formats.calibration.checks import make_transform
+from vo.recordings.formats.calibration.checks import make_noise
 from vo.recordings.formats.calibration.document import load_document
-from vo.recordings.formats.calibration.imu import make_noise
-from vo.recordings.formats.calibration.kalibr_imu import NOISE_KEYS
+from vo.recordings.formats.calibration.kalibr import NOISE_KEYS
+from vo.recordings.formats.calibration.numbers import make_transform
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS, parse_all_ns, parse_ns
 from vo.recordings.sources.imu import FileImu, ImuSamples, imu_of, make_samples
 from vo.recordings.sources.listing import read_data

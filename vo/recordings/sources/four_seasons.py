@@ -12,7 +12,8 @@ from pathlib import Path
 from vo.base.errors import CalibrationError, SourceError
 from vo.base.types import Floats, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize, read_calibration
-from vo.recordings.formats.calibration.checks import check_baseline, make_transform
+from vo.recordings.formats.calibration.checks import check_baseline
+from vo.recordings.formats.calibration.numbers import make_transform
 from vo.recordings.formats.table import read_table
 from vo.recordings.formats.trajectory import read_four_seasons
 from vo.recordings.sources.assembly import RecordingContents

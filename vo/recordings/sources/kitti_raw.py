@@ -13,7 +13,7 @@ from vo.base.errors import SourceError, VoError
 from vo.base.geometry.transforms import inverse
 from vo.base.noise_classes import NOISE_CLASSES
 from vo.base.types import Floats, Mode, Trajectory
-from vo.recordings.formats.calibration import Calibration, ImageSize, kitti_raw
+from vo.recordings.formats.calibration import Calibration, ImageSize, kitti
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.recordings.sources.images import ImageFile
@@ -79,8 +79,8 @@ def _calibration(
     file = chosen or first_existing(candidates)
     if file is not None:
         document = load_document(file)
-        if kitti_raw.recognises(document):
-            found = kitti_raw.read(document, size, cameras)
+        if kitti.recognises_raw(document):
+            found = kitti.read_raw(document, size, cameras)
             return replace(found, kind="KITTI raw", file=file)
     return calibration_reader(chosen, candidates)(size)
 
@@ -130,7 +130,7 @@ def _imu_from_cam0(path: Path, calibration: Calibration, cameras: tuple[str, str
     if body_from_cam0 is None:  # optional in a calibration chosen by the user
         size = (calibration.rig.cam0.width, calibration.rig.cam0.height)
         document = load_document(_beside(path, _CALIBRATION))
-        body_from_cam0 = kitti_raw.read(document, size, cameras).body_from_cam0
+        body_from_cam0 = kitti.read_raw(document, size, cameras).body_from_cam0
     assert body_from_cam0 is not None
     return inverse(body_from_velo @ velo_from_imu) @ body_from_cam0
 

@@ -10,7 +10,7 @@ import numpy as np
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
 from vo.base.types import Floats, Mode, Trajectory
-from vo.recordings.formats.nerf_poses import PosedImage, read_nerf_poses
+from vo.recordings.formats.calibration.nerf import PosedImage, read_nerf_poses
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.recordings.sources.folder import assign_stamps, find_times_file
 from vo.recordings.sources.images import ImageFile

@@ -15,8 +15,8 @@ from vo.base.files.bounded_files import read_text
 from vo.base.geometry.transforms import interpolate, orthonormalised
 from vo.base.geometry.transforms import make_transform as rigid
 from vo.base.types import Floats, Ints, Trajectory
-from vo.recordings.formats.calibration.checks import make_numbers, make_transform
 from vo.recordings.formats.calibration.document import load_document
+from vo.recordings.formats.calibration.numbers import make_numbers, make_transform
 from vo.recordings.formats.positions import PositionTable
 from vo.recordings.sources.imu import ImuSamples, make_samples
 from vo.recordings.sources.listing import read_lines

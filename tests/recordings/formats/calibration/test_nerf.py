@@ -13,7 +13,7 @@ from foreign_files import nerf
 
 from vo.base.errors import SourceError
 from vo.base.types import Camera
-from vo.recordings.formats.nerf_poses import read_nerf_poses
+from vo.recordings.formats.calibration.nerf import read_nerf_poses
 
 
 def test_camera_of_instant_ngp(tmp_path: Path) -> None:

@@ -11,9 +11,8 @@ Source: Heng et al., CamOdoCal, 2013; MEI is Mei and Rives, 2007.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import astuple, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,63 +20,48 @@ from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Camera, Floats, ImuNoise, Rig
 from vo.recordings.formats.calibration.checks import (
-    check_baseline,
+    given_size,
     make_camera,
-    make_number,
+    make_noise,
     make_readout,
-    make_transform,
+    make_rig,
+    make_time_offset,
+    rotation_and_translation,
 )
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
     ImageSize,
     ImuCalibration,
-    as_section,
     load_document,
 )
-from vo.recordings.formats.calibration.imu import make_noise, make_time_offset
-from vo.recordings.formats.calibration.matrices import rotation_and_translation
+from vo.recordings.formats.calibration.numbers import make_number, make_transform
 
 _NOISE = ("gyr_n", "gyr_w", "acc_n", "acc_w")
 _VINS_RATE_HZ = 200.0
 
 
 class _Model(NamedTuple):
-    """A camera model: names of its parameters in the sections of the file.
+    """A camera model: its lens, and the section and names of the lens' coefficients, in order.
 
-    Attributes:
-        lens: name of the distortion model.
-        focal: fx, fy, cx, cy among `projection_parameters`.
-        coefficients: section and names of the distortion coefficients, in the order of the lens.
+    `focal` are the names of fx, fy, cx, cy among `projection_parameters`.
     """
 
     lens: str
-    focal: tuple[str, str, str, str]
-    coefficients: tuple[tuple[str, str], ...]
+    section: str
+    coefficients: tuple[str, ...]
+    focal: tuple[str, ...] = ("fx", "fy", "cx", "cy")
 
 
-def _distortion(*names: str) -> tuple[tuple[str, str], ...]:
-    return tuple(("distortion_parameters", name) for name in names)
-
-
+_DISTORTION, _PROJECTION = "distortion_parameters", "projection_parameters"
 _MODELS = {
-    "PINHOLE": _Model("radtan", ("fx", "fy", "cx", "cy"), _distortion("k1", "k2", "p1", "p2")),
-    "PINHOLE_FULL": _Model(
-        "radtan",
-        ("fx", "fy", "cx", "cy"),
-        _distortion("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
-    ),
+    "PINHOLE": _Model("radtan", _DISTORTION, ("k1", "k2", "p1", "p2")),
+    "PINHOLE_FULL": _Model("radtan", _DISTORTION, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")),
     # Its k2 belongs to the third power of the angle, which is k1 elsewhere.
     "KANNALA_BRANDT": _Model(
-        "equidistant",
-        ("mu", "mv", "u0", "v0"),
-        tuple(("projection_parameters", name) for name in ("k2", "k3", "k4", "k5")),
+        "equidistant", _PROJECTION, ("k2", "k3", "k4", "k5"), ("mu", "mv", "u0", "v0")
     ),
-    "MEI": _Model(
-        "omni",
-        ("gamma1", "gamma2", "u0", "v0"),
-        (("mirror_parameters", "xi"), *_distortion("k1", "k2", "p1", "p2")),
-    ),
+    "MEI": _Model("omni", _DISTORTION, ("k1", "k2", "p1", "p2"), ("gamma1", "gamma2", "u0", "v0")),
 }
 
 
@@ -105,8 +89,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     if body_from_cam0 is None:
         raise CalibrationError(f"{document.path}: body_T_cam0 is missing; it is a 4x4 matrix")
     cam1_from_cam0 = inverse(_pose(document, "body_T_cam1")) @ body_from_cam0
-    check_baseline(f"{document.path}: body_T_cam1", cam1_from_cam0)
-    rig = Rig(cam0, cam1, cam1_from_cam0)
+    rig = make_rig(f"{document.path}: body_T_cam1", cam0, cam1, cam1_from_cam0)
     return Calibration(rig, body_from_cam0, imu=_imu(document, body_from_cam0))
 
 
@@ -154,29 +137,22 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
             f"{where}: model_type {name[:40]} is not supported; calibrate with one of "
             f"{', '.join(_MODELS)}"
         )
-    projection = _section(document, "projection_parameters")
-    coefficients = [
-        _number(document, section, key, 0.0 if name == "PINHOLE_FULL" else None)
-        for section, key in model.coefficients
-    ]
-    size = [data.get("image_width"), data.get("image_height")]
-    is_ideal = model.lens == "radtan" and not any(coefficients)
+    projection = document.section(_PROJECTION)
+    missing = 0.0 if name == "PINHOLE_FULL" else None
+    given = [(model.section, key) for key in model.coefficients]
+    given = [("mirror_parameters", "xi"), *given] if model.lens == "omni" else given
     return make_camera(
         where,
-        model="pinhole",
-        resolution=image_size if None in size else size,
-        intrinsics=[projection.get(key) for key in model.focal],
-        distortion_model="none" if is_ideal else model.lens,
-        distortion=() if is_ideal else coefficients,
+        given_size(data, ("image_width", "image_height"), image_size),
+        [projection.get(key) for key in model.focal],
+        model.lens,
+        [_number(document, section, key, missing) for section, key in given],
+        zero_is_none=True,
     )
 
 
-def _section(document: Document, name: str) -> Mapping[str, Any]:
-    return as_section(f"{document.path}: {name}", document.data.get(name))
-
-
 def _number(document: Document, section: str, key: str, default: float | None) -> float:
-    values = _section(document, section)
+    values = document.section(section)
     if key not in values and default is None:
         raise CalibrationError(f"{document.path}: {section}: {key} is missing")
     return make_number(f"{document.path}: {section}: {key}", values.get(key, default))

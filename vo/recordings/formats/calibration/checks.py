@@ -1,18 +1,23 @@
-"""Creation of cameras from values of a calibration file, with checks for plausibility."""
+"""Cameras, rigs, transforms and noise from values of a calibration file, checked.
+
+Cameras may be given by OpenCV's matrices K, D, R, T and P.
+"""
 
 from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.geometry.distortion import centre_scale
-from vo.base.types import Camera, Floats
+from vo.base.geometry.transforms import inverse, make_transform, orthonormalised
+from vo.base.types import Camera, Floats, ImuNoise, Rig
+from vo.recordings.formats.calibration.document import ImageSize
 from vo.recordings.formats.calibration.lenses import (
-    DISTORTION_NAMES,
     PROJECTIONS,
     check_lens,
     join_projection,
@@ -25,23 +30,8 @@ from vo.recordings.formats.calibration.numbers import (
     make_number,
     make_numbers,
     make_resolution,
-    make_transform,
 )
 from vo.recordings.formats.warning_kinds import warning_kind
-
-__all__ = [
-    "DISTORTION_NAMES",
-    "check_baseline",
-    "check_rotation",
-    "make_camera",
-    "make_list",
-    "make_matrix",
-    "make_number",
-    "make_numbers",
-    "make_readout",
-    "make_resolution",
-    "make_transform",
-]
 
 _MIN_BASELINE_M = 1e-6
 _MAX_BASELINE_M = 10.0
@@ -49,28 +39,36 @@ _MIN_FOCAL_PX = 1e-3
 _MAX_READOUT_S = 0.2
 _PLAUSIBLE_FOCAL_RATIO = (0.1, 20.0)
 """Focal length over image width: pinhole cameras with fields of view of 157 and 3 degrees."""
-
+_MAX_ROUNDING = 1e-6
+_MAX_SKEW_PX = 1.0
+_ZERO_IS_NONE = (None, "", "none", "radtan", "plumb_bob", "rational_polynomial")
+_HIGHEST_NOISE = (1.0, 1.0, 100.0, 100.0)
+"""Noise above these is in another unit, or a text has been misread."""
+_NOISE_UNITS = ("rad/s/√Hz", "rad/s²/√Hz", "m/s²/√Hz", "m/s³/√Hz")
+_MAX_OFFSET_S = 1.0
 _log = logging.getLogger(__name__)
 
 
 def make_camera(
     where: str,
-    *,
-    model: Any,
     resolution: Any,
     intrinsics: Any,
-    distortion_model: Any,
-    distortion: Any,
+    distortion_model: Any = None,
+    distortion: Any = (),
+    *,
+    model: Any = "pinhole",
+    zero_is_none: bool = False,
 ) -> Camera:
     """Create a camera from the values in a file.
 
     Args:
         where: file and section, for error messages.
-        model: Kalibr's name of the projection, a key of `PROJECTIONS`.
         resolution: width and height in pixels.
         intrinsics: parameters of the projection model, then fx, fy, cx, cy in pixels.
         distortion_model: a key of `DISTORTION_NAMES`, or None without distortion.
         distortion: distortion coefficients.
+        model: Kalibr's name of the projection, a key of `PROJECTIONS`.
+        zero_is_none: whether radtan coefficients that are all 0 are no distortion.
     """
     if not isinstance(model, str) or model not in PROJECTIONS:
         known = ", ".join(f"'{name}'" for name in PROJECTIONS)
@@ -81,12 +79,46 @@ def make_camera(
     names = (*PROJECTIONS[model][1], "fx", "fy", "cx", "cy")
     numbers = make_numbers(f"{where}: intrinsics [{', '.join(names)}]", intrinsics, len(names))
     fx, fy, cx, cy = numbers[-4:]
+    if zero_is_none and str(distortion_model).startswith("rad") and not any(distortion):
+        distortion_model, distortion = "none", ()
     lens = make_lens(where, distortion_model, distortion)
     name, coefficients = join_projection(where, model, numbers[:-4], lens)
     camera = Camera(width, height, fx, fy, cx, cy, name, coefficients)
     check_lens(where, camera)
     _check_pinhole(where, camera)
     return camera
+
+
+def matrix_camera(
+    where: str, *, resolution: Any, matrix: Any, distortion_model: Any, distortion: Any
+) -> Camera:
+    """A camera from its 3x3 matrix K; the default distortion model is radtan."""
+    k = make_matrix(f"{where}: camera matrix", matrix, 3, 3)
+    _check_camera_matrix(where, k)
+    coefficients = make_list(f"{where}: distortion", distortion)
+    if not any(coefficients) and distortion_model in _ZERO_IS_NONE:
+        distortion_model, coefficients = "none", ()
+    intrinsics = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
+    return make_camera(where, resolution, intrinsics, distortion_model or "radtan", coefficients)
+
+
+def given_size(
+    values: Mapping[str, Any], names: Iterable[str], image_size: ImageSize | None
+) -> Any:
+    """Width and height by their keys, unchecked, or else the size of the images."""
+    size = [values.get(name) for name in names]
+    return image_size if None in size else size
+
+
+def make_rig(where: str, cam0: Camera, cam1: Camera, cam1_from_cam0: Floats) -> Rig:
+    """A stereo rig, its baseline checked."""
+    check_baseline(where, cam1_from_cam0)
+    return Rig(cam0, cam1, cam1_from_cam0)
+
+
+def rectified_rig(where: str, cam0: Camera, cam1: Camera, baseline_m: float) -> Rig:
+    """A rectified rig: the second camera is to the right of the first."""
+    return make_rig(where, cam0, cam1, make_transform(np.eye(3), np.array([-baseline_m, 0.0, 0.0])))
 
 
 def make_readout(where: str, value: Any) -> float:
@@ -116,6 +148,109 @@ def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
             baseline,
             extra=warning_kind("large_baseline"),
         )
+
+
+def rotation_and_translation(where: str, rotation: Any, translation: Any) -> Floats:
+    """The (4, 4) transform of OpenCV's R (3x3) and T (three numbers)."""
+    r = make_rotation(f"{where}: rotation", rotation)
+    t = make_list(f"{where}: translation", translation)
+    if len(t) != 3:
+        raise CalibrationError(f"{where}: translation has {len(t)} numbers; 3 are needed")
+    return make_transform(r, np.array(t))
+
+
+def make_rotation(where: str, value: Any) -> Floats:
+    """A (3, 3) rotation, orthonormalised."""
+    rotation = make_matrix(where, value, 3, 3)
+    check_rotation(where, rotation)
+    return orthonormalised(make_transform(rotation, np.zeros(3)))[:3, :3]
+
+
+def make_projection(where: str, value: Any) -> tuple[Floats, Floats]:
+    """A (3, 4) projection P = K [I | t] of a rectified camera, and t (3,).
+
+    The rectified cameras of a rig have parallel axes, so that p_in_camera = p_in_common + t.
+    """
+    p = make_matrix(f"{where}: projection matrix", value, 3, 4)
+    if not (p[0, 0] > 1e-3 and p[1, 1] > 1e-3):
+        raise CalibrationError(
+            f"{where}: the projection matrix has focal lengths {p[0, 0]:g}, {p[1, 1]:g}; they must "
+            "be above 0"
+        )
+    z = p[2, 3]
+    return p, np.array([(p[0, 3] - p[0, 2] * z) / p[0, 0], (p[1, 3] - p[1, 2] * z) / p[1, 1], z])
+
+
+def common_from_camera(where: str, rotation: Any, projection: Any) -> Floats:
+    """(4, 4) from an unrectified camera to the common rectified frame of its rig, from R and P."""
+    _, t = make_projection(where, projection)
+    r = np.eye(3) if rotation is None else make_rotation(f"{where}: rectification", rotation)
+    return make_transform(r, -t)
+
+
+def relative_pose(common_from_cam0: Floats, common_from_cam1: Floats) -> Floats:
+    """cam1_from_cam0 of two cameras, given their poses in a common frame."""
+    return np.asarray(inverse(common_from_cam1) @ common_from_cam0)
+
+
+def make_noise(
+    where: str, values: Mapping[str, Any], names: tuple[str, str, str, str]
+) -> ImuNoise | None:
+    """The noise of a sensor; None if the file has none of its values.
+
+    `names`: keys of the white noise of the gyroscope, its random walk, and the same of the
+    accelerometer.
+    """
+    if not any(name in values for name in names):
+        return None
+    missing = [name for name in names if name not in values]
+    if missing:
+        raise CalibrationError(
+            f"{where}: {missing[0]} is missing; noise is given by {', '.join(names)}"
+        )
+    numbers = [make_number(f"{where}: {name}", values[name]) for name in names]
+    for name, number, highest, unit in zip(
+        names, numbers, _HIGHEST_NOISE, _NOISE_UNITS, strict=True
+    ):
+        if not 0.0 <= number <= highest:
+            raise CalibrationError(
+                f"{where}: {name} is {number:g}; it must be from 0 to {highest:g} {unit}"
+            )
+    return ImuNoise(*numbers)
+
+
+def make_time_offset(where: str, value: Any) -> float:
+    """A time offset in seconds; 0 if it is missing. A large one causes a warning."""
+    if value is None:
+        return 0.0
+    offset_s = make_number(where, value)
+    if abs(offset_s) > _MAX_OFFSET_S:
+        _log.warning("%s is %g s between camera and IMU; it must be in seconds", where, offset_s)
+    return offset_s
+
+
+def _check_camera_matrix(where: str, k: Floats) -> None:
+    """Refuse a (3, 3) matrix that is not fx 0 cx / 0 fy cy / 0 0 1; warn of a skew of the axes."""
+    if not k.any():
+        raise CalibrationError(f"{where}: the camera matrix is zero: it was never calibrated")
+    if np.any(k[2, :2]) and not np.any(k[:2, 2]):
+        raise CalibrationError(f"{where}: the camera matrix is transposed; write it row by row")
+    if np.abs(k[2] - (0.0, 0.0, 1.0)).max() > _MAX_ROUNDING or abs(k[1, 0]) > _MAX_ROUNDING:
+        raise CalibrationError(
+            f"{where}: the camera matrix has the rows {_row(k[1])} and {_row(k[2])}; they must be "
+            "[0, fy, cy] and [0, 0, 1]"
+        )
+    if abs(k[0, 1]) > _MAX_SKEW_PX:
+        _log.warning(
+            "%s: the skew of the camera matrix, %g px, is not used: axes of pixels are taken as "
+            "perpendicular",
+            where,
+            k[0, 1],
+        )
+
+
+def _row(numbers: Floats) -> str:
+    return "[" + ", ".join(f"{number:g}" for number in numbers) + "]"
 
 
 def _check_pinhole(where: str, camera: Camera) -> None:

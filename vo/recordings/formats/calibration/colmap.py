@@ -10,10 +10,10 @@ import logging
 import re
 from typing import NamedTuple
 
-from vo.base.errors import CalibrationError
 from vo.base.types import Camera, Rig
-from vo.recordings.formats.calibration.checks import make_camera, make_numbers
+from vo.recordings.formats.calibration.checks import make_camera
 from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize
+from vo.recordings.formats.calibration.numbers import make_numbers, unsupported
 
 _LINE = re.compile(r"^[ \t]*(\d+)[ ,\t]+([A-Z_]{3,})[ ,\t]+(\d+)[ ,\t]+(\d+)\b(.*)$", re.MULTILINE)
 _CORNER_TO_CENTRE_PX = 0.5
@@ -75,18 +75,15 @@ def _camera(document: Document, line: tuple[str, str, str, str, str]) -> Camera:
     where = f"{document.path}: camera {number}"
     model = _MODELS.get(name)
     if model is None:
-        raise CalibrationError(
-            f"{where}: model {name[:40]} is not supported; supported are {', '.join(_MODELS)}"
-        )
+        raise unsupported(f"{where}: model {name[:40]}", _MODELS)
     count = model.focal_lengths + 2 + model.coefficients
     values = make_numbers(f"{where}: {name}", rest.replace(",", " ").split(), count)
     focal = values[: model.focal_lengths]
     cx, cy = values[model.focal_lengths : model.focal_lengths + 2]
     return make_camera(
         where,
-        model="pinhole",
-        resolution=[width, height],
-        intrinsics=[focal[0], focal[-1], cx - _CORNER_TO_CENTRE_PX, cy - _CORNER_TO_CENTRE_PX],
-        distortion_model=model.lens,
-        distortion=[*values[model.focal_lengths + 2 :], *[0.0] * model.zeros],
+        [width, height],
+        [focal[0], focal[-1], cx - _CORNER_TO_CENTRE_PX, cy - _CORNER_TO_CENTRE_PX],
+        model.lens,
+        [*values[model.focal_lengths + 2 :], *[0.0] * model.zeros],
     )

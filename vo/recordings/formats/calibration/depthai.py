@@ -6,7 +6,7 @@ centimetres. The pair is that of `stereoRectificationData`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Floats, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_number
+from vo.recordings.formats.calibration.checks import make_rig, make_rotation, matrix_camera
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
@@ -22,8 +22,7 @@ from vo.recordings.formats.calibration.document import (
     as_section,
     shortened,
 )
-from vo.recordings.formats.calibration.matrices import make_rotation, matrix_camera
-from vo.recordings.formats.calibration.numbers import make_list
+from vo.recordings.formats.calibration.numbers import is_list, make_list, make_number
 
 _LENSES = {0: "radtan", 1: "equidistant"}
 """DepthAI's CameraModel: Perspective and Fisheye."""
@@ -35,9 +34,7 @@ _Cameras = Mapping[int, Mapping[str, Any]]
 
 def recognises(document: Document) -> bool:
     """Whether there is a list `cameraData`."""
-    return isinstance(document.data.get("cameraData"), Sequence) and not isinstance(
-        document.data["cameraData"], str
-    )
+    return is_list(document.data.get("cameraData"))
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
@@ -52,15 +49,15 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     if right not in cameras:
         return Calibration(Rig(cam0))
     cam1_from_cam0 = _b_from_a(document, cameras, left, right)
-    check_baseline(f"{document.path}: extrinsics of cameras {left} and {right}", cam1_from_cam0)
-    return Calibration(Rig(cam0, _camera(document, cameras, right), cam1_from_cam0))
+    where = f"{document.path}: extrinsics of cameras {left} and {right}"
+    return Calibration(make_rig(where, cam0, _camera(document, cameras, right), cam1_from_cam0))
 
 
 def _cameras(document: Document) -> dict[int, Mapping[str, Any]]:
     """The calibrated cameras by socket."""
     cameras = {}
     for entry in document.data["cameraData"]:
-        if not isinstance(entry, Sequence) or isinstance(entry, str) or len(entry) != 2:
+        if not is_list(entry) or len(entry) != 2:
             raise CalibrationError(
                 f"{document.path}: cameraData has {shortened(entry)}; it must be a list of "
                 "[socket, camera]"

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vo.base.errors import CalibrationError
 from vo.base.files.bounded_files import read_bytes, read_text
 from vo.base.types import Floats, ImuNoise, Rig
-from vo.recordings.formats.calibration.archive import is_npz, read_archive
 from vo.recordings.formats.calibration.markup import MAX_YAML_BYTES, sections_of
 
 ImageSize = tuple[int, int]
 
 _MAX_LARGE_BYTES = 16 * 2**20
 """Of archives, and of JSON, which is fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
+
+
+_MAX_MEMBER_BYTES = 2**20
+_MAX_VALUES = 64
+"""Larger arrays, such as the poses of all boards, are no part of a calibration."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +101,15 @@ def load_document(path: Path) -> Document:
     """Read a calibration file of any format as text and sections."""
     try:
         is_json = path.suffix.lower() == ".json"
-        max_bytes = _MAX_LARGE_BYTES if is_json or is_npz(path) else MAX_YAML_BYTES
+        is_npz = path.suffix.lower() == ".npz"
+        max_bytes = _MAX_LARGE_BYTES if is_json or is_npz else MAX_YAML_BYTES
         if path.is_file() and path.stat().st_size > max_bytes:
             raise CalibrationError(
                 f"calibration file {path} has {path.stat().st_size} bytes; give a text file with "
                 f"only the cameras, below {max_bytes} bytes"
             )
-        if is_npz(path):
-            return Document(path, "", *read_archive(read_bytes(path, max_bytes)))
+        if is_npz:
+            return Document(path, "", *_read_archive(read_bytes(path, max_bytes)))
         if is_json:  # perhaps one long line
             text = read_bytes(path, max_bytes).decode("utf-8-sig")
         else:
@@ -114,3 +123,35 @@ def load_document(path: Path) -> Document:
         raise CalibrationError(f"calibration file {path} cannot be read: {reason}") from error
     data, problem = sections_of(text)
     return Document(path, text, data, problem)
+
+
+def _read_archive(content: bytes) -> tuple[dict[str, Any], str]:
+    """Small arrays of a numpy archive by their names, and what is wrong if none is found.
+
+    Scripts save the results of OpenCV's calibration as such. Pickled objects are not loaded, as
+    they could run code.
+    """
+    values: dict[str, Any] = {}
+    names = []
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            for member in archive.infolist():
+                name = member.filename.removesuffix(".npy")
+                names.append(name)
+                if member.file_size <= _MAX_MEMBER_BYTES:
+                    values |= _read_array(name, archive.read(member))
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError) as error:
+        return {}, f"is a damaged numpy archive: {error}"
+    listed = ", ".join(names[:8]) or "nothing"
+    return values, f"is a numpy archive without a camera matrix (mtx, K, cameraMatrix): {listed}"
+
+
+def _read_array(name: str, data: bytes) -> dict[str, Any]:
+    """The array of a member, if it is small and made of numbers or text."""
+    try:
+        array = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, OSError, EOFError):  # an object, or not an array
+        return {}
+    if not isinstance(array, np.ndarray) or array.size > _MAX_VALUES or array.dtype.kind in "cMmV":
+        return {}
+    return {name: array.tolist()}

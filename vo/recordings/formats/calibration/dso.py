@@ -63,13 +63,9 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
             f"{document.path}: the lens model {model} with {lens} is not supported; FOV with one "
             "coefficient, and RadTan and EquiDistant with four are"
         )
+    intrinsics = [fx, fy, cx, cy]
     camera = make_camera(
-        str(document.path),
-        model="pinhole",
-        resolution=[width, height],
-        intrinsics=[fx, fy, cx, cy],
-        distortion_model=distortion_model,
-        distortion=distortion,
+        str(document.path), [width, height], intrinsics, distortion_model, distortion
     )
     return Calibration(Rig(camera))
 

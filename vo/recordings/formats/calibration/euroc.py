@@ -13,12 +13,7 @@ from pathlib import Path
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Camera, Floats, Rig
-from vo.recordings.formats.calibration.checks import (
-    check_baseline,
-    make_camera,
-    make_readout,
-    make_transform,
-)
+from vo.recordings.formats.calibration.checks import make_camera, make_readout, make_rig
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
@@ -32,6 +27,7 @@ from vo.recordings.formats.calibration.keys import (
     find_distortion,
     is_array,
 )
+from vo.recordings.formats.calibration.numbers import make_transform
 
 
 def recognises(document: Document) -> bool:
@@ -51,8 +47,8 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
         return Calibration(Rig(cam0), body_from_cam0)
     other = load_document(partner)
     cam1_from_cam0 = inverse(_body_from_camera(other)) @ body_from_cam0
-    check_baseline(f"{partner}: T_BS", cam1_from_cam0)
-    return Calibration(Rig(cam0, _camera(other, image_size), cam1_from_cam0), body_from_cam0)
+    rig = make_rig(f"{partner}: T_BS", cam0, _camera(other, image_size), cam1_from_cam0)
+    return Calibration(rig, body_from_cam0)
 
 
 def _partner(path: Path) -> Path | None:
@@ -76,11 +72,11 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
         distortion = find_distortion(str(document.path), Values(data), beside)
     camera = make_camera(
         str(document.path),
+        data.get("resolution", image_size),
+        data.get("intrinsics"),
+        data.get("distortion_model"),
+        distortion,
         model=data.get("camera_model", "pinhole"),
-        resolution=data.get("resolution", image_size),
-        intrinsics=data.get("intrinsics"),
-        distortion_model=data.get("distortion_model"),
-        distortion=distortion,
     )
     readout_s = make_readout(f"{document.path}: readout_s", data.get("readout_s"))
     return replace(camera, readout_s=readout_s)

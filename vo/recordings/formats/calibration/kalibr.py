@@ -1,33 +1,51 @@
 """Reader of Kalibr's `camchain.yaml`, and of OpenVINS' files of the same layout.
 
 Uses the first two cameras. `T_cn_cnm1` is cam1_from_cam0, `T_cam_imu` is cam_from_imu, and
-OpenVINS' `T_imu_cam` is imu_from_cam. The noise of the IMU is in a file beside (`kalibr_imu`).
+OpenVINS' `T_imu_cam` is imu_from_cam. The noise of the IMU is in a file beside, Kalibr's `imu.yaml`
+or OpenVINS' `kalibr_imu_chain.yaml`, or in a section `imu0`. It is continuous-time: rad/s/√Hz and
+m/s²/√Hz, random walks rad/s²/√Hz and m/s³/√Hz.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse, rotation_angle
-from vo.base.types import Camera, Floats, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_camera, make_transform
+from vo.base.types import Camera, Floats, ImuNoise, Rig
+from vo.recordings.formats.calibration.checks import (
+    check_baseline,
+    make_camera,
+    make_noise,
+    make_time_offset,
+)
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
     ImageSize,
     ImuCalibration,
+    load_document,
+    shortened,
 )
-from vo.recordings.formats.calibration.imu import make_time_offset
-from vo.recordings.formats.calibration.kalibr_imu import kalibr_noise
 from vo.recordings.formats.calibration.keys import Entry, Values, find_distortion
+from vo.recordings.formats.calibration.numbers import make_transform
 
+OPENVINS_IMU = "relative_config_imu"
+NOISE_KEYS = (
+    "gyroscope_noise_density",
+    "gyroscope_random_walk",
+    "accelerometer_noise_density",
+    "accelerometer_random_walk",
+)
 _OWN_KEYS = (
     "camera_model", "distortion_coeffs", "T_cam_imu", "T_imu_cam", "T_cn_cnm1", "cam_overlaps",
 )  # fmt: skip
+_MAX_FILES = 20
 _MAX_DISAGREEMENT_RAD = 0.02
 _MAX_DISAGREEMENT = 0.1  # of the baseline
 _log = logging.getLogger(__name__)
@@ -45,7 +63,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     imu_from_cam0 = _imu_from_camera(document, "cam0")
     imu = ImuCalibration(
         None if imu_from_cam0 is None else inverse(imu_from_cam0),
-        kalibr_noise(document),
+        _noise(document),
         make_time_offset(
             f"{document.path}: cam0.timeshift_cam_imu",
             document.section("cam0").get("timeshift_cam_imu"),
@@ -68,11 +86,11 @@ def _camera(document: Document, name: str, image_size: ImageSize | None) -> Came
         distortion = find_distortion(where, values, beside)
     return make_camera(
         where,
+        section.get("resolution", image_size),
+        section.get("intrinsics"),
+        section.get("distortion_model"),
+        distortion or section.get("distortion_coeffs"),
         model=model or "pinhole",
-        resolution=section.get("resolution", image_size),
-        intrinsics=section.get("intrinsics"),
-        distortion_model=section.get("distortion_model"),
-        distortion=distortion or section.get("distortion_coeffs"),
     )
 
 
@@ -120,3 +138,55 @@ def _check_agreement(document: Document, cam1_from_cam0: Floats, by_imu: Floats)
             np.degrees(angle),
             shift,
         )
+
+
+def _noise(document: Document) -> ImuNoise | None:
+    """The noise in a camera chain, in the file that it names, or in the only such file beside it.
+
+    Files beside are those with `imu` in their names. Several that differ cause a warning, and none
+    of them is used.
+    """
+    own = _noise_in(document)
+    if own is not None:
+        return own
+    named = document.data.get(OPENVINS_IMU)
+    if named is not None:
+        path = document.path.parent / str(named)
+        if not path.is_file():
+            _log.warning(
+                "%s: %s %s does not exist; the noise of the IMU is unknown",
+                document.path,
+                OPENVINS_IMU,
+                shortened(named),
+            )
+            return None
+        return _noise_in(load_document(path))
+    found = {path: noise for path, noise in _beside(document.path)}
+    if len(set(found.values())) > 1:
+        _log.warning(
+            "%s have different noise of the IMU, and none of them is used; keep one",
+            " and ".join(path.name for path in list(found)[:3]),
+        )
+        return None
+    return next(iter(found.values()), None)
+
+
+def _noise_in(document: Document) -> ImuNoise | None:
+    imu0 = document.data.get("imu0")
+    section: Mapping[str, Any] = imu0 if isinstance(imu0, Mapping) else document.data
+    return make_noise(str(document.path), section, NOISE_KEYS)
+
+
+def _beside(path: Path) -> Iterator[tuple[Path, ImuNoise]]:
+    files = [file for file in sorted(path.parent.glob("*imu*.y*ml")) if file.name != path.name]
+    for file in files[:_MAX_FILES]:
+        if not file.is_file():
+            continue
+        try:
+            document = load_document(file)
+        except CalibrationError:
+            continue  # not a calibration
+        if "cam0" not in document.data:
+            noise = _noise_in(document)
+            if noise is not None:
+                yield file, noise

@@ -5,14 +5,19 @@ Names are compared in lower case, without underscores and other punctuation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
-from vo.recordings.formats.calibration.document import ImageSize, shortened
-from vo.recordings.formats.calibration.numbers import make_list, make_matrix, make_number
+from vo.recordings.formats.calibration.document import ImageSize
+from vo.recordings.formats.calibration.numbers import (
+    is_list,
+    make_list,
+    make_matrix,
+    make_number,
+)
 
 MATRIX = (
     "cameramatrix", "mtx", "k", "m", "cammatrix", "cammtx", "cameramtx", "kmatrix", "matrixk",
@@ -174,15 +179,13 @@ def camera_values(data: Mapping[str, Any]) -> Values:
 
 def is_array(value: Any) -> bool:
     """Whether a value is a list, or a section with data, rather than a number or a text."""
-    if isinstance(value, Mapping):
-        return "data" in value
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    return "data" in value if isinstance(value, Mapping) else is_list(value)
 
 
 def is_matrix(value: Any) -> bool:
     """Whether a value has the nine numbers of a camera matrix."""
     data = value.get("data") if isinstance(value, Mapping) else value
-    if not isinstance(data, Sequence) or isinstance(data, str | bytes):
+    if not is_list(data):
         return isinstance(value, Mapping) and "data" in value  # damaged; the reader says how
     return len(data) in (3, 9) and not (len(data) == 3 and not is_array(data[0]))
 
@@ -269,11 +272,3 @@ def _is_rectified(values: Values, matrix: Entry, side: str) -> bool:
     k = make_matrix(matrix.key, matrix.value, 3, 3)
     p = make_matrix(projection.key, projection.value, 3, 4)
     return bool(np.allclose(k, p[:, :3], rtol=1e-6, atol=1e-6))
-
-
-def unknown_model(where: str, entry: Entry, known: str) -> CalibrationError:
-    """The error for a lens or camera model that is not supported."""
-    return CalibrationError(
-        f"{where}: {entry.key} {shortened(entry.value)[:60]} is not supported; supported are "
-        f"{known}"
-    )

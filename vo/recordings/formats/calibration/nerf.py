@@ -1,20 +1,36 @@
 """Reader of NeRF's `transforms.json`, as instant-ngp, nerfstudio and Blender write it: one camera.
 
 Its pixels have (0, 0) at the corner of the top-left pixel, so half a pixel is subtracted from the
-principal point. `vo.recordings.formats.nerf_poses` reads the poses of the images.
+principal point. `read_nerf_poses` reads the poses of the images.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from vo.base.errors import CalibrationError
-from vo.base.types import Camera, Rig
-from vo.recordings.formats.calibration.checks import make_camera, make_number
-from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize, shortened
+import numpy as np
+
+from vo.base.errors import CalibrationError, SourceError
+from vo.base.types import Camera, Floats, Rig
+from vo.recordings.formats.calibration.checks import make_camera
+from vo.recordings.formats.calibration.document import (
+    Calibration,
+    Document,
+    ImageSize,
+    load_document,
+    shortened,
+)
 from vo.recordings.formats.calibration.keys import coefficients_of
+from vo.recordings.formats.calibration.numbers import (
+    is_list,
+    make_number,
+    make_transform,
+    unsupported,
+)
 
 _MODELS = {
     "SIMPLE_PINHOLE": "none",
@@ -28,17 +44,15 @@ _MODELS = {
 _RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "camera_angle_x", "camera_angle_y", *_RADTAN)
 _CORNER_TO_CENTRE_PX = 0.5
+_OPENGL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""From a camera with y down and z forward to one with y up and z back."""
 
 
 def recognises(document: Document) -> bool:
     """Whether there are frames with a `transform_matrix`, or a focal length by NeRF's name."""
     data = document.data
     frames = data.get("frames")
-    return (
-        isinstance(frames, Sequence)
-        and not isinstance(frames, str)
-        and ("fl_x" in data or "camera_angle_x" in data or _have_poses(frames))
-    )
+    return is_list(frames) and ("fl_x" in data or "camera_angle_x" in data or _have_poses(frames))
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
@@ -55,9 +69,8 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
     values = _values(document)
     model = str(values.get("camera_model", "OPENCV")).strip().upper()
     if model not in _MODELS:
-        raise CalibrationError(
-            f"{where}: camera_model {shortened(values['camera_model'])[:40]} is not supported; "
-            f"supported are {', '.join(_MODELS)}"
+        raise unsupported(
+            f"{where}: camera_model {shortened(values['camera_model'])[:40]}", _MODELS
         )
     is_fisheye = _MODELS[model] == "equidistant" or values.get("is_fisheye") is True
     lens = "equidistant" if is_fisheye else "radtan"
@@ -69,21 +82,14 @@ def _camera(document: Document, image_size: ImageSize | None) -> Camera:
             "or FULL_OPENCV"
         )
     coefficients = coefficients_of(where, given, lens)
-    is_ideal = not is_fisheye and not any(coefficients)
     width, height = _size(where, values, image_size)
     fx, fy = _focal_lengths(where, values, width, height)
+    centre = [
+        make_number(f"{where}: {key}", values.get(key, side / 2)) - _CORNER_TO_CENTRE_PX
+        for key, side in (("cx", width), ("cy", height))
+    ]
     return make_camera(
-        where,
-        model="pinhole",
-        resolution=[width, height],
-        intrinsics=[
-            fx,
-            fy,
-            make_number(f"{where}: cx", values.get("cx", width / 2)) - _CORNER_TO_CENTRE_PX,
-            make_number(f"{where}: cy", values.get("cy", height / 2)) - _CORNER_TO_CENTRE_PX,
-        ],
-        distortion_model="none" if is_ideal else lens,
-        distortion=() if is_ideal else coefficients,
+        where, [width, height], [fx, fy, *centre], lens, coefficients, zero_is_none=True
     )
 
 
@@ -104,11 +110,9 @@ def _values(document: Document) -> dict[str, Any]:
     return values
 
 
-def _size(
-    where: str, values: Mapping[str, Any], image_size: ImageSize | None
-) -> tuple[float, float]:
+def _size(where: str, values: Mapping[str, Any], image_size: ImageSize | None) -> tuple[float, ...]:
     if "w" in values and "h" in values:
-        return make_number(f"{where}: w", values["w"]), make_number(f"{where}: h", values["h"])
+        return tuple(make_number(f"{where}: {key}", values[key]) for key in ("w", "h"))
     if image_size is None:
         raise CalibrationError(f"{where}: the size of the images is missing; add w and h")
     return image_size
@@ -137,3 +141,47 @@ def _focal_length(where: str, values: Mapping[str, Any], axis: str, side: float)
             "0 and pi"
         )
     return 0.5 * side / math.tan(0.5 * angle)
+
+
+class PosedImage(NamedTuple):
+    """An image and its pose.
+
+    Attributes:
+        name: path of the image, relative to the file, perhaps without suffix.
+        world_from_cam: (4, 4), the camera with y down and z forward. The unit of length is any.
+    """
+
+    name: str
+    world_from_cam: Floats
+
+
+def read_nerf_poses(path: Path | str) -> list[PosedImage]:
+    """Read all poses, in natural order of the names of the images."""
+    path = Path(path)
+    try:
+        document = load_document(path)
+    except CalibrationError as error:
+        raise SourceError(str(error)) from error
+    if document.problem:
+        raise SourceError(f"{path} {document.problem}")
+    frames = document.data.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise SourceError(f"{path} has no list `frames` with poses, as transforms.json of NeRF has")
+    images = []
+    for number, frame in enumerate(frames):
+        where = f"{path}: frame {number}"
+        if not isinstance(frame, Mapping) or not isinstance(frame.get("file_path"), str):
+            raise SourceError(f"{where}: file_path is missing; it is the name of the image")
+        try:
+            pose = make_transform(f"{where}: transform_matrix", frame.get("transform_matrix"))
+        except CalibrationError as error:
+            raise SourceError(str(error)) from error
+        name = frame["file_path"].replace("\\", "/")
+        images.append(PosedImage(name, pose @ _OPENGL_FROM_CV))
+    return sorted(images, key=lambda image: _natural_key(image.name))
+
+
+def _natural_key(name: str) -> list[tuple[int, str]]:
+    """A sort key that compares numbers in names by value."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part[:18]), "") if i % 2 else (0, part) for i, part in enumerate(parts)]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def make_numbers(what: str, value: Any, count: int | None = None) -> tuple[float
 
     Text that is a number is accepted, because YAML 1.1 reads `1e-3` as text.
     """
-    if not isinstance(value, Sequence) or isinstance(value, str | bytes):
+    if not is_list(value):
         raise CalibrationError(f"{what} is {shortened(value)}; it must be a list of numbers")
     if count is not None and len(value) != count:
         raise CalibrationError(f"{what} has {len(value)} numbers; {count} are needed")
@@ -53,6 +53,24 @@ def make_number(what: str, value: Any) -> float:
         shown = value if isinstance(value, str) else shortened(value)
         raise CalibrationError(f"{what} is {shown[:80]}; it must be a finite number")
     return number
+
+
+def make_positive(what: str, value: Any, advice: str = "it must be above 0") -> float:
+    """A number above 0."""
+    number = make_number(what, value)
+    if number <= 0:
+        raise CalibrationError(f"{what} is {number:g}; {advice}")
+    return number
+
+
+def unsupported(what: str, known: Iterable[str]) -> CalibrationError:
+    """The error for a model that is not supported."""
+    return CalibrationError(f"{what} is not supported; supported are {', '.join(known)}")
+
+
+def is_list(value: Any) -> TypeGuard[Sequence[Any]]:
+    """Whether a value is a list, not a text."""
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def make_matrix(what: str, value: Any, rows: int, columns: int) -> Floats:
@@ -112,9 +130,4 @@ def check_rotation(where: str, rotation: Floats) -> None:
 
 
 def _are_rows(value: Any) -> bool:
-    return (
-        isinstance(value, Sequence)
-        and not isinstance(value, str | bytes)
-        and len(value) > 0
-        and all(isinstance(row, Sequence) and not isinstance(row, str | bytes) for row in value)
-    )
+    return is_list(value) and len(value) > 0 and all(map(is_list, value))

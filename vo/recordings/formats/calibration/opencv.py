@@ -13,15 +13,20 @@ from typing import NamedTuple
 from vo.base.errors import CalibrationError
 from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration import keys
-from vo.recordings.formats.calibration.checks import check_baseline
+from vo.recordings.formats.calibration.checks import (
+    make_rig,
+    matrix_camera,
+    rotation_and_translation,
+)
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
     ImageSize,
     load_document,
+    shortened,
 )
 from vo.recordings.formats.calibration.keys import Entry, Values
-from vo.recordings.formats.calibration.matrices import matrix_camera, rotation_and_translation
+from vo.recordings.formats.calibration.numbers import unsupported
 
 _IDEAL = ("pinhole", "perspective", "none", "")
 _RADTAN = (
@@ -39,7 +44,10 @@ _OTHERS = (
     "ds", "doublesphere", "eucm", "ucm", "unified", "fov", "atan", "scaramuzza", "ocam", "division",
     "equirectangular", "thinprism", "ftheta", *_BROWN_CONRADY,
 )  # fmt: skip
-_MODELS = "radtan (plumb_bob, rational_polynomial), equidistant (fisheye, kannala_brandt) and omni"
+_MODELS = (
+    "radtan (plumb_bob, rational_polynomial)",
+    "equidistant (fisheye, kannala_brandt) and omni",
+)
 _log = logging.getLogger(__name__)
 
 
@@ -74,8 +82,8 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     cam1_from_cam0 = rotation_and_translation(
         where, extrinsics.rotation.value, extrinsics.translation.value
     )
-    check_baseline(f"{where}: {extrinsics.translation.key}", cam1_from_cam0)
-    return Calibration(Rig(cam0, cam1, cam1_from_cam0))
+    where = f"{where}: {extrinsics.translation.key}"
+    return Calibration(make_rig(where, cam0, cam1, cam1_from_cam0))
 
 
 class _Extrinsics(NamedTuple):
@@ -146,7 +154,7 @@ def _lens_model(where: str, values: Values, side: str) -> str:
             return "radtan"
         # The model of a camera may also be the name of a product.
         if name not in _IDEAL and (not is_text or name in _OTHERS):
-            raise keys.unknown_model(where, entry, _MODELS)
+            raise unsupported(f"{where}: {entry.key} {shortened(entry.value)[:60]}", _MODELS)
     return "radtan"
 
 

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse
-from vo.base.geometry.transforms import make_transform as rigid
 from vo.base.types import Camera, Floats, Rig
 from vo.recordings.formats.calibration.checks import (
-    check_baseline,
+    common_from_camera,
+    given_size,
     make_camera,
-    make_number,
-    make_transform,
+    make_noise,
+    make_rig,
+    matrix_camera,
+    rectified_rig,
+    relative_pose,
 )
 from vo.recordings.formats.calibration.document import (
     Calibration,
@@ -27,12 +28,12 @@ from vo.recordings.formats.calibration.document import (
     ImageSize,
     ImuCalibration,
 )
-from vo.recordings.formats.calibration.imu import make_noise
 from vo.recordings.formats.calibration.keys import coefficients_of
-from vo.recordings.formats.calibration.matrices import (
-    common_from_camera,
-    matrix_camera,
-    relative_pose,
+from vo.recordings.formats.calibration.numbers import (
+    make_number,
+    make_positive,
+    make_transform,
+    unsupported,
 )
 
 _LENSES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -79,38 +80,22 @@ def _pair(document: Document, cam0: Camera, name: str, image_size: ImageSize | N
             )
         where = f"{document.path}: {key}"
         cam1_from_cam0 = inverse(make_transform(where, data[key]))
-        check_baseline(where, cam1_from_cam0)
-        return Rig(cam0, _camera(document, "Camera2", image_size), cam1_from_cam0)
-    if _is_stereo(document):
-        return Rig(cam0, cam0, _rectified_cam1_from_cam0(document, cam0))
+        return make_rig(where, cam0, _camera(document, "Camera2", image_size), cam1_from_cam0)
+    for key, unit in (("Stereo.b", 1.0), ("Camera.bf", cam0.fx)):
+        if key in data:
+            where = f"{document.path}: {key}"
+            value = make_number(where, data[key])
+            if value < 0:
+                raise CalibrationError(f"{where} is {value:g}; it must be above 0")
+            return rectified_rig(where, cam0, cam0, value / unit)
     return Rig(cam0)
 
 
 def _depth_per_metre(document: Document) -> float | None:
     for key in ("RGBD.DepthMapFactor", "DepthMapFactor"):
         if key in document.data:
-            where = f"{document.path}: {key}"
-            value = make_number(where, document.data[key])
-            if value <= 0:
-                raise CalibrationError(f"{where} is {value:g}; it must be above 0")
-            return value
+            return make_positive(f"{document.path}: {key}", document.data[key])
     return None
-
-
-def _is_stereo(document: Document) -> bool:
-    return "Stereo.b" in document.data or "Camera.bf" in document.data
-
-
-def _rectified_cam1_from_cam0(document: Document, cam0: Camera) -> Floats:
-    key = "Stereo.b" if "Stereo.b" in document.data else "Camera.bf"
-    where = f"{document.path}: {key}"
-    value = make_number(where, document.data[key])
-    baseline_m = value if key == "Stereo.b" else value / cam0.fx
-    if baseline_m < 0:
-        raise CalibrationError(f"{where} is {value:g}; it must be above 0")
-    cam1_from_cam0 = rigid(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
-    check_baseline(where, cam1_from_cam0)
-    return cam1_from_cam0
 
 
 def _camera(document: Document, name: str, image_size: ImageSize | None) -> Camera:
@@ -118,31 +103,21 @@ def _camera(document: Document, name: str, image_size: ImageSize | None) -> Came
     where = f"{document.path}: {name}"
     kind = str(data.get("Camera.type", "PinHole"))
     if kind.lower() not in _LENSES:
-        raise CalibrationError(
-            f"{document.path}: Camera.type {kind[:40]!r} is not supported; supported are PinHole, "
-            "KannalaBrandt8 and Rectified"
-        )
+        known = ["PinHole", "KannalaBrandt8 and Rectified"]
+        raise unsupported(f"{document.path}: Camera.type {kind[:40]!r}", known)
     lens, names = _LENSES[kind.lower()]
     given = {key: data[f"{name}.{key}"] for key in names if f"{name}.{key}" in data}
     coefficients = coefficients_of(where, given, lens) if lens != "none" else ()
-    if lens == "radtan" and not any(coefficients):
-        lens, coefficients = "none", ()
-    return make_camera(
-        where,
-        model="pinhole",
-        resolution=_size(document, "Camera", image_size),
-        intrinsics=[data.get(f"{name}.{key}") for key in ("fx", "fy", "cx", "cy")],
-        distortion_model=lens,
-        distortion=coefficients,
-    )
+    focal = [data.get(f"{name}.{key}") for key in ("fx", "fy", "cx", "cy")]
+    size = _size(document, "Camera", image_size)
+    return make_camera(where, size, focal, lens, coefficients, zero_is_none=True)
 
 
 def _unrectified_pair(document: Document, image_size: ImageSize | None) -> Rig:
     """The unrectified pair, with cam1_from_cam0 derived from the rectification."""
     sides = [_side(document, side, image_size) for side in ("LEFT", "RIGHT")]
     cam1_from_cam0 = relative_pose(sides[0][1], sides[1][1])
-    check_baseline(f"{document.path}: RIGHT.P", cam1_from_cam0)
-    return Rig(sides[0][0], sides[1][0], cam1_from_cam0)
+    return make_rig(f"{document.path}: RIGHT.P", sides[0][0], sides[1][0], cam1_from_cam0)
 
 
 def _side(document: Document, side: str, image_size: ImageSize | None) -> tuple[Camera, Floats]:
@@ -159,5 +134,4 @@ def _side(document: Document, side: str, image_size: ImageSize | None) -> tuple[
 
 
 def _size(document: Document, name: str, image_size: ImageSize | None) -> Any:
-    size = [document.data.get(f"{name}.{side}") for side in ("width", "height")]
-    return image_size if None in size else size
+    return given_size(document.data, (f"{name}.width", f"{name}.height"), image_size)

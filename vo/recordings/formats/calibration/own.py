@@ -8,19 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 
 from vo.base.errors import CalibrationError, OutputError
-from vo.base.geometry.transforms import make_transform as rigid
 from vo.base.noise_classes import NOISE_CLASSES
-from vo.base.types import Camera, Floats, Rig
+from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration.checks import (
-    check_baseline,
     make_camera,
-    make_number,
+    make_noise,
     make_readout,
-    make_transform,
+    make_rig,
+    make_time_offset,
+    rectified_rig,
 )
 from vo.recordings.formats.calibration.document import (
     Calibration,
@@ -29,7 +28,11 @@ from vo.recordings.formats.calibration.document import (
     ImuCalibration,
     shortened,
 )
-from vo.recordings.formats.calibration.imu import make_noise, make_time_offset
+from vo.recordings.formats.calibration.numbers import (
+    make_number,
+    make_positive,
+    make_transform,
+)
 
 _TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
 _CAMERA_KEYS = (
@@ -52,7 +55,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
         return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document), imu=imu)
     # Without cam1 both cameras of a rectified pair are the same.
     cam1 = _camera(document, "cam1") if "cam1" in document.data else cam0
-    return Calibration(Rig(cam0, cam1, _cam1_from_cam0(document)), imu=imu)
+    return Calibration(_rig(document, cam0, cam1), imu=imu)
 
 
 def write_calibration(
@@ -130,16 +133,16 @@ def _camera(document: Document, name: str) -> Camera:
     _check_keys(where, section, _CAMERA_KEYS)
     camera = make_camera(
         where,
+        section.get("resolution"),
+        section.get("intrinsics"),
+        section.get("distortion_model"),
+        section.get("distortion"),
         model=section.get("model", "pinhole"),
-        resolution=section.get("resolution"),
-        intrinsics=section.get("intrinsics"),
-        distortion_model=section.get("distortion_model"),
-        distortion=section.get("distortion"),
     )
     return replace(camera, readout_s=make_readout(f"{where}.readout_s", section.get("readout_s")))
 
 
-def _cam1_from_cam0(document: Document) -> Floats:
+def _rig(document: Document, cam0: Camera, cam1: Camera) -> Rig:
     data = document.data
     if ("cam1_from_cam0" in data) == ("baseline_m" in data):
         raise CalibrationError(
@@ -148,28 +151,24 @@ def _cam1_from_cam0(document: Document) -> Floats:
         )
     if "cam1_from_cam0" in data:
         where = f"{document.path}: cam1_from_cam0"
-        cam1_from_cam0 = make_transform(where, data["cam1_from_cam0"])
-    else:
-        where = f"{document.path}: baseline_m"
-        baseline_m = make_number(where, data["baseline_m"])
-        if baseline_m < 0:
-            raise CalibrationError(
-                f"{where} is {baseline_m:g}; it must be above 0, with cam1 right of cam0"
-            )
-        # cam1 is to the right of cam0, so coordinates in cam1 are smaller.
-        cam1_from_cam0 = rigid(np.eye(3), np.array([-baseline_m, 0.0, 0.0]))
-    check_baseline(where, cam1_from_cam0)
-    return cam1_from_cam0
+        return make_rig(where, cam0, cam1, make_transform(where, data["cam1_from_cam0"]))
+    where = f"{document.path}: baseline_m"
+    baseline_m = make_number(where, data["baseline_m"])
+    if baseline_m < 0:
+        raise CalibrationError(
+            f"{where} is {baseline_m:g}; it must be above 0, with cam1 right of cam0"
+        )
+    return rectified_rig(where, cam0, cam1, baseline_m)
 
 
 def _depth_per_metre(document: Document) -> float | None:
     if "depth_per_metre" not in document.data:
         return None
-    where = f"{document.path}: depth_per_metre"
-    value = make_number(where, document.data["depth_per_metre"])
-    if value <= 0:
-        raise CalibrationError(f"{where} is {value:g}; it must be above 0, such as 5000 for TUM")
-    return value
+    return make_positive(
+        f"{document.path}: depth_per_metre",
+        document.data["depth_per_metre"],
+        "it must be above 0, such as 5000 for TUM",
+    )
 
 
 def _check_keys(where: str, data: Mapping[str, Any], known: Iterable[str]) -> None:

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from vo.base.errors import CalibrationError
 from vo.recordings.formats.calibration import (
-    basalt,
     camodocal,
     colmap,
     depthai,
@@ -18,13 +17,11 @@ from vo.recordings.formats.calibration import (
     euroc,
     kalibr,
     kitti,
-    kitti_raw,
-    maplab,
     nerf,
-    okvis,
     opencv,
     orb_slam,
     own,
+    rigs,
     ros,
     stella_vslam,
     zed,
@@ -36,7 +33,6 @@ from vo.recordings.formats.calibration.document import (
     load_document,
     shortened,
 )
-from vo.recordings.formats.calibration.kalibr_imu import OPENVINS_IMU
 
 
 class CalibrationFormat(NamedTuple):
@@ -48,15 +44,15 @@ class CalibrationFormat(NamedTuple):
 
 # Checked in this order, the more specific formats first.
 FORMATS: dict[str, CalibrationFormat] = {
-    "KITTI raw": CalibrationFormat(kitti_raw.recognises, kitti_raw.read),
+    "KITTI raw": CalibrationFormat(kitti.recognises_raw, kitti.read_raw),
     "KITTI": CalibrationFormat(kitti.recognises, kitti.read),
     "COLMAP": CalibrationFormat(colmap.recognises, colmap.read),
     "ZED": CalibrationFormat(zed.recognises, zed.read),
-    "Basalt": CalibrationFormat(basalt.recognises, basalt.read),
+    "Basalt": CalibrationFormat(rigs.recognises_basalt, rigs.read_basalt),
     "DepthAI": CalibrationFormat(depthai.recognises, depthai.read),
     "NeRF": CalibrationFormat(nerf.recognises, nerf.read),
-    "SVO or maplab": CalibrationFormat(maplab.recognises, maplab.read),
-    "OKVIS": CalibrationFormat(okvis.recognises, okvis.read),
+    "SVO or maplab": CalibrationFormat(rigs.recognises_maplab, rigs.read_maplab),
+    "OKVIS": CalibrationFormat(rigs.recognises_okvis, rigs.read_okvis),
     "camodocal": CalibrationFormat(camodocal.recognises, camodocal.read),
     "stella_vslam": CalibrationFormat(stella_vslam.recognises, stella_vslam.read),
     "ORB-SLAM3": CalibrationFormat(orb_slam.recognises, orb_slam.read),
@@ -116,5 +112,5 @@ def _load(path: Path) -> Document:
     if not isinstance(chain, str) or not beside.is_file():
         raise CalibrationError(f"{path}: {_OPENVINS_CHAIN} {shortened(chain)} does not exist")
     loaded = load_document(beside)
-    settings = {key: document.data[key] for key in (OPENVINS_IMU,) if key in document.data}
+    settings = {key: document.data[key] for key in (kalibr.OPENVINS_IMU,) if key in document.data}
     return replace(loaded, data={**loaded.data, **settings})

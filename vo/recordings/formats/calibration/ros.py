@@ -1,11 +1,24 @@
 """Reader of ROS's camera_info as YAML or INI, one file per camera, in the same folder.
 
-The images are assumed to be unrectified (`image_raw`), as described by K and D.
+The images are assumed to be unrectified (`image_raw`), as described by K and D. In INI, written by
+`camera_calibration` (ost.txt) and by drivers, names stand on lines of their own, followed by lines
+of numbers:
+
+    [image]
+    width
+    640
+
+    [narrow_stereo/left]
+    camera matrix
+    500.1 0.0 320.5
+    0.0 500.9 239.0
+    0.0 0.0 1.0
 """
 
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,19 +27,21 @@ import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.types import Camera, Floats, Rig
-from vo.recordings.formats.calibration import keys, ros_ini
-from vo.recordings.formats.calibration.checks import check_baseline, make_list
+from vo.recordings.formats.calibration import keys
+from vo.recordings.formats.calibration.checks import (
+    common_from_camera,
+    given_size,
+    make_rig,
+    matrix_camera,
+    relative_pose,
+)
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
     ImageSize,
     load_document,
 )
-from vo.recordings.formats.calibration.matrices import (
-    common_from_camera,
-    matrix_camera,
-    relative_pose,
-)
+from vo.recordings.formats.calibration.numbers import make_list
 
 _NAMES = (("left", "right"), ("Left", "Right"), ("cam0", "cam1"), ("camera0", "camera1"))
 _FILE = {
@@ -38,13 +53,22 @@ _FILE = {
     "p": "projection_matrix",
 }
 """Keys of camera_calibration_parsers for the fields of the message."""
+_INI = {
+    "width": "width",
+    "height": "height",
+    "camera matrix": "k",
+    "distortion": "d",
+    "rectification": "r",
+    "projection": "p",
+}
+_INI_MATRIX = re.compile(r"^[ \t]*camera matrix[ \t]*$", re.MULTILINE)
 _MIN_BASELINE_M = 1e-6
 _log = logging.getLogger(__name__)
 
 
 def recognises(document: Document) -> bool:
     """Whether the file has the fields of the message, as saved or as printed by `topic echo`."""
-    if ros_ini.is_ini(document.text):
+    if _is_ini(document):
         return True
     data = _fields(document)
     is_file = "camera_matrix" in document.data and any(
@@ -68,8 +92,8 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
             partner,
         )
         return Calibration(Rig(cam0))
-    check_baseline(f"{partner}: projection matrix", cam1_from_cam0)
-    return Calibration(Rig(cam0, _camera(other, image_size), cam1_from_cam0))
+    where = f"{partner}: projection matrix"
+    return Calibration(make_rig(where, cam0, _camera(other, image_size), cam1_from_cam0))
 
 
 def partner_of(path: Path) -> Path | None:
@@ -83,11 +107,10 @@ def partner_of(path: Path) -> Path | None:
 
 def _camera(document: Document, image_size: ImageSize | None) -> Camera:
     fields = _fields(document)
-    size = [fields.get("width"), fields.get("height")]
     where = str(document.path)
     return matrix_camera(
         where,
-        resolution=image_size if None in size else size,
+        resolution=given_size(fields, ("width", "height"), image_size),
         matrix=fields.get("k"),
         distortion_model=fields.get("distortion_model") or "plumb_bob",
         distortion=_distortion(where, document, fields),
@@ -101,7 +124,7 @@ def _distortion(where: str, document: Document, fields: Mapping[str, Any]) -> tu
         values = keys.Values(document.data or fields)
         matrix = keys.find_matrix(values, "") or keys.Entry("camera matrix", fields.get("k"))
         numbers = keys.find_distortion(where, values, matrix)
-    if ros_ini.is_ini(document.text) and len(numbers) == 4 and any(numbers):
+    if _is_ini(document) and len(numbers) == 4 and any(numbers):
         raise CalibrationError(
             f"{where}: 4 coefficients may be those of plumb_bob or of a fisheye lens, and INI does "
             "not say which; use the YAML file of the same calibration (ost.yaml)"
@@ -116,10 +139,36 @@ def _common_from_camera(document: Document) -> Floats:
 
 def _fields(document: Document) -> dict[str, Any]:
     """The fields of the message in lower case; ROS 1 prints D, K, R and P."""
-    if ros_ini.is_ini(document.text):
-        return ros_ini.fields_of(document.text)
+    if _is_ini(document):
+        return _ini_fields(document.text)
     data = document.data
     found = {name: data.get(name, data.get(name.upper())) for name in ("d", "k", "r", "p")}
     found |= {name: data.get(name) for name in ("width", "height", "distortion_model")}
     found |= {name: data[long] for name, long in _FILE.items() if long in data}
     return {name: value for name, value in found.items() if value is not None}
+
+
+def _is_ini(document: Document) -> bool:
+    return _INI_MATRIX.search(document.text) is not None
+
+
+def _ini_fields(text: str) -> dict[str, object]:
+    """Fields of the message camera_info, unchecked: width, height, and lists d, k, r and p."""
+    words: dict[str, list[str]] = {}
+    current: list[str] | None = None
+    for line in text.splitlines():
+        name = " ".join(line.split()).lower()
+        if not name or name.startswith(("#", ";")):
+            continue
+        if name.startswith("["):
+            current = None
+        elif name in _INI:
+            current = words.setdefault(_INI[name], [])
+        elif name[0].isalpha() and name.split()[0] not in ("nan", "inf"):
+            current = None  # a field that is not needed, such as `translation`
+        elif current is not None:
+            current += line.split()
+    return {
+        name: listed[0] if name in ("width", "height") and len(listed) == 1 else listed
+        for name, listed in words.items()
+    }

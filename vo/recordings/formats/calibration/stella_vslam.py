@@ -14,10 +14,18 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Camera, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_camera, make_number
+from vo.recordings.formats.calibration.checks import (
+    given_size,
+    make_camera,
+    make_rig,
+    make_rotation,
+    matrix_camera,
+    rectified_rig,
+    relative_pose,
+)
 from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize, shortened
 from vo.recordings.formats.calibration.keys import coefficients_of
-from vo.recordings.formats.calibration.matrices import make_rotation, matrix_camera, relative_pose
+from vo.recordings.formats.calibration.numbers import make_number, make_positive, unsupported
 
 _LENSES = {"perspective": "radtan", "fisheye": "equidistant"}
 _SETUPS = ("monocular", "stereo", "rgbd")
@@ -35,10 +43,7 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     camera = _section(document, "Camera")
     setup = str(camera.get("setup", "monocular")).strip().lower()
     if setup not in _SETUPS:
-        raise CalibrationError(
-            f"{document.path}: Camera.setup {setup[:40]} is not supported; supported are "
-            f"{', '.join(_SETUPS)}"
-        )
+        raise unsupported(f"{document.path}: Camera.setup {setup[:40]}", _SETUPS)
     rectifier = _section(document, "StereoRectifier")
     if setup == "stereo" and rectifier:
         return Calibration(_unrectified_pair(document, camera, rectifier, image_size))
@@ -49,9 +54,8 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
                 f"{document.path}: Camera is stereo and distorted, but StereoRectifier, which says "
                 "where the right camera is, is missing"
             )
-        baseline = make_transform(np.eye(3), np.array([-_baseline_m(document, camera), 0.0, 0.0]))
-        check_baseline(f"{document.path}: Camera.focal_x_baseline", baseline)
-        return Calibration(Rig(cam0, cam0, baseline))
+        where = f"{document.path}: Camera.focal_x_baseline"
+        return Calibration(rectified_rig(where, cam0, cam0, _baseline_m(document, camera)))
     return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document, camera, setup))
 
 
@@ -71,30 +75,20 @@ def _camera(document: Document, camera: Mapping[str, Any], image_size: ImageSize
     if "k1" not in given:
         raise CalibrationError(f"{where}: k1 is missing; write 0 if there is no distortion")
     coefficients = coefficients_of(where, given, lens)
-    is_ideal = lens == "radtan" and not any(coefficients)
-    return make_camera(
-        where,
-        model="pinhole",
-        resolution=_size(camera, image_size),
-        intrinsics=[camera.get(key) for key in ("fx", "fy", "cx", "cy")],
-        distortion_model="none" if is_ideal else lens,
-        distortion=() if is_ideal else coefficients,
-    )
+    focal = [camera.get(key) for key in ("fx", "fy", "cx", "cy")]
+    size = _size(camera, image_size)
+    return make_camera(where, size, focal, lens, coefficients, zero_is_none=True)
 
 
 def _lens(where: str, model: Any) -> str:
     name = str(model).strip().lower()
     if name not in _LENSES:
-        raise CalibrationError(
-            f"{where}: model {shortened(model)[:40]} is not supported; supported are "
-            f"{', '.join(_LENSES)}"
-        )
+        raise unsupported(f"{where}: model {shortened(model)[:40]}", _LENSES)
     return _LENSES[name]
 
 
 def _size(camera: Mapping[str, Any], image_size: ImageSize | None) -> Any:
-    size = [camera.get("cols"), camera.get("rows")]
-    return image_size if None in size else size
+    return given_size(camera, ("cols", "rows"), image_size)
 
 
 def _baseline_m(document: Document, camera: Mapping[str, Any]) -> float:
@@ -130,8 +124,8 @@ def _unrectified_pair(
         rotation = make_rotation(f"{where}: R_{side}", rectifier.get(f"R_{side}"))
         poses.append(make_transform(rotation, np.array([shift_m, 0.0, 0.0])))
     cam1_from_cam0 = relative_pose(poses[0], poses[1])
-    check_baseline(f"{document.path}: Camera.focal_x_baseline", cam1_from_cam0)
-    return Rig(cameras[0], cameras[1], cam1_from_cam0)
+    where = f"{document.path}: Camera.focal_x_baseline"
+    return make_rig(where, cameras[0], cameras[1], cam1_from_cam0)
 
 
 def _depth_per_metre(document: Document, camera: Mapping[str, Any], setup: str) -> float | None:
@@ -139,7 +133,4 @@ def _depth_per_metre(document: Document, camera: Mapping[str, Any], setup: str) 
     value = next((s["depthmap_factor"] for s in sections if "depthmap_factor" in s), None)
     if setup != "rgbd" or value is None:
         return None
-    number = make_number(f"{document.path}: depthmap_factor", value)
-    if number <= 0:
-        raise CalibrationError(f"{document.path}: depthmap_factor is {number:g}; not above 0")
-    return number
+    return make_positive(f"{document.path}: depthmap_factor", value, "not above 0")

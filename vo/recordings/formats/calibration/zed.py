@@ -17,9 +17,10 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Camera, Floats, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_camera, make_number
+from vo.recordings.formats.calibration.checks import make_camera, make_rig
 from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize
 from vo.recordings.formats.calibration.keys import coefficients_of
+from vo.recordings.formats.calibration.numbers import make_number
 
 _SIZES = {
     "2K": (2208, 1242),
@@ -50,8 +51,8 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
         return Calibration(Rig(cam0))
     cam1 = _camera(document, sections, f"RIGHT_CAM_{name}")
     cam1_from_cam0 = _cam1_from_cam0(document, sections["STEREO"], name)
-    check_baseline(f"{document.path}: [STEREO] Baseline", cam1_from_cam0)
-    return Calibration(Rig(cam0, cam1, cam1_from_cam0))
+    where = f"{document.path}: [STEREO] Baseline"
+    return Calibration(make_rig(where, cam0, cam1, cam1_from_cam0))
 
 
 def _resolution(document: Document, image_size: ImageSize | None) -> str:
@@ -93,14 +94,8 @@ def _camera(document: Document, sections: Mapping[str, Mapping[str, str]], name:
     if "k1" not in lens:
         raise CalibrationError(f"{where}: k1 is missing, and there is no [{disto}]")
     model, coefficients = _lens(where, lens)
-    return make_camera(
-        where,
-        model="pinhole",
-        resolution=_SIZES[name.partition("_CAM_")[2]],
-        intrinsics=[section.get(key) for key in ("fx", "fy", "cx", "cy")],
-        distortion_model=model,
-        distortion=coefficients,
-    )
+    focal = [section.get(key) for key in ("fx", "fy", "cx", "cy")]
+    return make_camera(where, _SIZES[name.partition("_CAM_")[2]], focal, model, coefficients)
 
 
 def _lens(where: str, section: Mapping[str, str]) -> tuple[str, tuple[float, ...]]:

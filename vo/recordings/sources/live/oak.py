@@ -17,7 +17,7 @@ from vo.base.errors import CalibrationError, SourceError
 from vo.base.extras import require
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Camera, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_camera
+from vo.recordings.formats.calibration.checks import make_camera, make_rig
 from vo.recordings.sources.live.clock import CaptureStamps, HostClock
 from vo.recordings.sources.live.device import CapturedImages, as_grey, warn_of_untested
 
@@ -93,8 +93,7 @@ class Oak:
         left, right = (self._camera(calibration, socket) for socket in self._sockets)
         matrix = np.array(calibration.getCameraExtrinsics(*self._sockets), dtype=np.float64)
         cam1_from_cam0 = make_transform(matrix[:3, :3], _M_PER_CM * matrix[:3, 3])
-        check_baseline(self._name, cam1_from_cam0)
-        return Rig(left, right, cam1_from_cam0)
+        return make_rig(self._name, left, right, cam1_from_cam0)
 
     def _camera(self, calibration: Any, socket: Any) -> Camera:
         models = self._dai.CameraModel
@@ -105,15 +104,13 @@ class Oak:
                 f"{self._name}: distortion {model} is not supported; give --calibration FILE"
             )
         k = np.array(calibration.getCameraIntrinsics(socket, _WIDTH, _HEIGHT))
+        lens = lenses[model]
         return make_camera(
             f"{self._name}: factory calibration",
-            model="pinhole",
-            resolution=[_WIDTH, _HEIGHT],
-            intrinsics=[float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
-            distortion_model=lenses[model],
-            distortion=self._coefficients(
-                lenses[model], calibration.getDistortionCoefficients(socket)
-            ),
+            [_WIDTH, _HEIGHT],
+            [float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2])],
+            lens,
+            self._coefficients(lens, calibration.getDistortionCoefficients(socket)),
         )
 
     def _coefficients(self, lens: str, given: Sequence[float]) -> list[float]:

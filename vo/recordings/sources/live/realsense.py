@@ -14,7 +14,7 @@ from vo.base.errors import CalibrationError, SourceError
 from vo.base.extras import require
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Camera, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_camera
+from vo.recordings.formats.calibration.checks import make_camera, make_rig
 from vo.recordings.sources.live.clock import CaptureStamps, HostClock
 from vo.recordings.sources.live.device import CapturedImages, as_grey, warn_of_untested
 
@@ -81,8 +81,7 @@ class RealSense:
         extrinsics = streams[0].get_extrinsics_to(streams[1])
         rotation = np.reshape(extrinsics.rotation, (3, 3)).T  # column by column
         cam1_from_cam0 = make_transform(rotation, np.array(extrinsics.translation))
-        check_baseline(self._name, cam1_from_cam0)
-        return Rig(left, right, cam1_from_cam0)
+        return make_rig(self._name, left, right, cam1_from_cam0)
 
     def _camera(self, profile: Any) -> Camera:
         intrinsics = profile.get_intrinsics()
@@ -94,11 +93,10 @@ class RealSense:
         is_fisheye = model == "kannala_brandt4"
         return make_camera(
             f"{self._name}: factory calibration",
-            model="pinhole",
-            resolution=[intrinsics.width, intrinsics.height],
-            intrinsics=[intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy],
-            distortion_model=_LENSES.get(model, "radtan"),
-            distortion=coefficients[:4] if is_fisheye else coefficients,
+            [intrinsics.width, intrinsics.height],
+            [intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy],
+            _LENSES.get(model, "radtan"),
+            coefficients[:4] if is_fisheye else coefficients,
         )
 
     def _switch_projector_off(self, profile: Any) -> None:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from vo.base.errors import MissingExtraError, SourceError
-from vo.base.geometry.transforms import make_transform
 from vo.base.types import Bytes, Camera, Rig
-from vo.recordings.formats.calibration.checks import check_baseline, make_camera
+from vo.recordings.formats.calibration.checks import make_camera, rectified_rig
 from vo.recordings.sources.live.clock import CaptureStamps, HostClock
 from vo.recordings.sources.live.device import CapturedImages, as_grey, warn_of_untested
 
@@ -78,21 +77,12 @@ class Zed:
             self._make_camera(each, [size.width, size.height])
             for each in (calibration.left_cam, calibration.right_cam)
         )
-        # Rectified: the right camera is beside the left one.
-        shift = np.array([-float(calibration.get_camera_baseline()), 0.0, 0.0])
-        cam1_from_cam0 = make_transform(np.eye(3), shift)
-        check_baseline(self._name, cam1_from_cam0)
-        return Rig(left, right, cam1_from_cam0)
+        baseline_m = float(calibration.get_camera_baseline())
+        return rectified_rig(self._name, left, right, baseline_m)
 
     def _make_camera(self, parameters: Any, size: list[int]) -> Camera:
-        return make_camera(
-            f"{self._name}: factory calibration",
-            model="pinhole",
-            resolution=size,
-            intrinsics=[parameters.fx, parameters.fy, parameters.cx, parameters.cy],
-            distortion_model=None,
-            distortion=[],
-        )
+        focal = [parameters.fx, parameters.fy, parameters.cx, parameters.cy]
+        return make_camera(f"{self._name}: factory calibration", size, focal)
 
 
 def _pyzed() -> Any:
