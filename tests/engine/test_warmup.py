@@ -100,6 +100,25 @@ def test_run_after_warmup_compiles_nothing(
     assert NOTICE not in done.stderr
 
 
+def test_messages_maps_and_pictures_after_warmup_compile_nothing(
+    first_warmup: tuple[Path, str, str], synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    """Raw images in messages and keyframes in maps are views that cannot be written to."""
+    cache, log, out = first_warmup[0], tmp_path / "raw.mcap", tmp_path / "out"
+    run(cache, VO, "convert", synthetic_stereo, log, "--codec", "raw", "--gray")
+    before = files_in(cache)
+    of_map = tmp_path / "map"
+
+    for command in (
+        ("run", log, "-o", out, "--save-map", of_map),
+        ("run", log, "-o", out, "--map", of_map),
+        ("render", out, "-o", tmp_path / "picture.png"),
+    ):
+        assert NOTICE not in run(cache, VO, *command).stderr
+
+    assert files_in(cache) == before
+
+
 def test_warmup_compiles_what_recordings_with_loops_need(
     first_warmup: tuple[Path, str, str],
 ) -> None:

@@ -29,10 +29,11 @@ def warmup_command(
     from vo.cli.progress import warnings_on
     from vo.engine.odometry import Odometry
     from vo.engine.warmup import warm_up
+    from vo.tools.rendering import rasterizer
 
     begin = time.monotonic()
     with warnings_on(standard_error(), quiet=quiet):
-        has_compiled = warm_up(Odometry)
+        has_compiled = any([warm_up(Odometry), rasterizer.warm_up()])
     seconds, folder = time.monotonic() - begin, str(store.folder())
     if json_output:
         echo_json({"compiled": has_compiled, "seconds": round(seconds, 3), "folder": folder})

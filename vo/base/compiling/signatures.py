@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 _ARRAY = np.ndarray
 _NUMBERS = {bool: "?", int: "i8", float: "f8"}
+_Type = TypeVar("_Type", bound=np.generic)
+
+
+def usual_array(array: NDArray[_Type]) -> NDArray[_Type]:
+    """The array, or a copy that can be written to and is contiguous.
+
+    Views of files and messages are neither, and each layout would be compiled separately.
+    """
+    return np.require(array, requirements=("C", "W"))
 
 
 def signature_of(values: tuple[Any, ...]) -> tuple[Any, ...]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vo.base.compiling.signatures import usual_array
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
@@ -206,6 +207,8 @@ class FramePreprocessor:
             pool.shutdown(cancel_futures=True)
 
     def _preprocess(self, frame: Frame) -> PreprocessedFrame:
+        images = tuple(None if image is None else usual_array(image) for image in frame.images)
+        frame = replace(frame, images=images)
         left_change = self._repetition.update(frame.images)[0]
         self._interlacing.update(frame.image0)
         self._blur.update(frame.image0)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.compiling.function import compiled
+from vo.base.compiling.signatures import usual_array
 from vo.base.errors import InputError
 from vo.base.types import Bytes, Descriptors, Floats32, Ints
 from vo.engine.frontend.hamming_kernels import hamming
@@ -86,7 +87,7 @@ class Vocabulary:
     def nodes_of(self, descriptor: Descriptors, depth: int) -> Ints:
         """The node below the root, of that depth or a word, that each of (N, 32) reaches."""
         node, first, children, _ = self._tree
-        nodes: Ints = _nodes(packed(descriptor), node, first, children, depth)
+        nodes: Ints = _nodes(usual_array(packed(descriptor)), node, first, children, depth)
         return nodes
 
     def bag(self, descriptor: Descriptors) -> Bag:
@@ -107,7 +108,7 @@ class Vocabulary:
         word = np.full(len(self.children), -1, np.int32)
         leaves = np.flatnonzero(self.children == 0)
         word[leaves] = np.arange(len(leaves), dtype=np.int32)
-        node = packed(self.descriptor).copy()  # compiled code is not kept for read-only arrays
+        node = usual_array(packed(self.descriptor))
         return node, first, np.ascontiguousarray(self.children), word
 
 

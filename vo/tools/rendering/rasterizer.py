@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.base.compiling.function import compiled
+from vo.base.compiling.function import compiled, compiled_here
 from vo.base.geometry import cameras
 from vo.base.types import Bytes, Camera, Floats, Ints
 
@@ -50,6 +50,15 @@ def draw(
     covered = (buffer > 0.0).reshape(shape).mean(axis=(1, 3))[..., None]
     total = drawn.reshape(*shape, 3).mean(axis=(1, 3))
     return np.asarray(np.clip(total + (1.0 - covered) * image + 0.5, 0, 255).astype(np.uint8))
+
+
+def warm_up() -> bool:
+    """Compile what `draw` needs, and return whether anything had to be compiled."""
+    before = compiled_here()
+    camera, corners = Camera(8, 8, 8.0, 8.0, 4.0, 4.0), np.eye(3) + (0.0, 0.0, 1.0)
+    image, rgb = np.zeros((8, 8, 3), np.uint8), np.zeros((3, 3), np.uint8)
+    draw(image, camera, corners, np.arange(3)[None], rgb, np.ones(1))
+    return compiled_here() != before
 
 
 def shading(world_vertices: Floats, triangles: Ints) -> Floats:
