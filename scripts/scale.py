@@ -1,4 +1,4 @@
-"""Measure the scale of mono runs by noisy positions, and write the table in docs/scale.md.
+"""Measure the scale of mono runs by noisy positions; docs/experiments/scale-by-positions.md has it.
 
 Runs `vo run --mode mono` once on each recording with ground truth, and then fits the scale to the
 true positions with added noise, for a number of seeds: with white noise, with errors correlated

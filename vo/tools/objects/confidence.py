@@ -1,7 +1,8 @@
 """Probability that a found instance is right.
 
 A logistic function of what was measured, fitted to rendered scenes with known objects and to
-images without any (`scripts/objects --fit`); docs/objects.md has its reliability.
+images without any (`scripts/objects --fit`); docs/experiments/objects.md has how
+reliable it is.
 """
 
 from __future__ import annotations
