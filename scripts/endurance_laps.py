@@ -120,8 +120,8 @@ def _observe(write: Callable[[str], Any]) -> None:
     recognise, result = Recogniser._recognise, PoseGraph.result
     state = {"stored": 0, "loops": 0, "poses": 0}
 
-    def counted(graph: PoseGraph) -> PlacedKeyframes:
-        placed = result(graph)
+    def counted(graph: PoseGraph, *arguments: Any) -> PlacedKeyframes:
+        placed = result(graph, *arguments)
         state["poses"] = len(placed.keys)
         return placed
 

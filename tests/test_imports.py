@@ -55,7 +55,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"learned"},
         {"mapping", "features", "markers"},
         {"places", "inertial"},
-        {"tracking", "backend", "refinement"},
+        {"tracking", "backend", "refinement", "maps"},
         {"trajectory"},
         {"inertial_path"},
         {"map_updater", "snapshot", "memory", "warmup"},

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 from vo.base.types import Camera
 from vo.cli.app import app
 from vo.engine.mapping.keyframe import FrameId
+from vo.engine.maps.map_file import MapHeader, write_map
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.map_file import MapHeader, write_map
 from vo.engine.places.records import PATCH_PX, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
 
 

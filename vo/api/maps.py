@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from vo.engine.places.map_file import MapFile
+from vo.engine.maps.map_file import MapFile
 from vo.engine.places.vocabulary_file import built_in_vocabulary, read_vocabulary
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.tools.maps.contents import chosen_world, map_contents

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo.base.errors import OutputError
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.base.records.inertial_use import InertialUse
-from vo.base.records.metric_scale import MetricScale
 from vo.base.types import Trajectory
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.markers.marker_problem import MarkerView
@@ -35,17 +34,17 @@ class Placement:
     @property
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
         """Loops that were closed so far."""
-        return () if self._memory is None else self._memory.closed_loops
+        return () if self._memory is None else self._memory.loops.closed_loops
 
     @property
     def relocalisations(self) -> tuple[Relocalisation, ...]:
         """Segments whose place in an older world was found while the camera was in them."""
-        return () if self._memory is None else self._memory.relocalisations
+        return () if self._memory is None else self._memory.loops.relocalisations
 
     @property
     def map_use(self) -> MapUse | None:
         """The loaded map, None without one."""
-        return None if self._memory is None else self._memory.map_use
+        return None if self._memory is None else self._memory.in_map.use
 
     @property
     def inertial(self) -> InertialUse | None:
@@ -56,12 +55,6 @@ class Placement:
     def notes(self) -> tuple[str, ...]:
         """Sentences for the user about markers that close no loops."""
         return () if self._memory is None else self._memory.markers.notes
-
-    def is_metric(self, segment: int) -> bool:
-        """Whether a sensor or the loaded map gives lengths of a segment of one camera the metre."""
-        if self._memory is not None and self._memory.is_metric(segment):
-            return True
-        return self._inertial is not None and self._inertial.is_metric(segment)
 
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Before a frame is tracked, after all updates of the map of its segment."""
@@ -99,20 +92,18 @@ class Placement:
         if self._inertial is not None:
             self._inertial.fill_gaps()
 
-    def path_before_loops(
-        self, store: TrajectoryStore, scales: Mapping[int, MetricScale]
-    ) -> Trajectory:
+    def path_before_loops(self, store: TrajectoryStore, *, in_metres: bool) -> Trajectory:
         """The path before all loops, after `finish`: each segment in a world of its own.
 
         Segments that the inertial sensor has joined without images stay together.
 
         Args:
             store: the path.
-            scales: by number of the world, those of which are converted to metres.
+            in_metres: whether worlds are converted to metres where a scale was measured.
         """
         if self._inertial is not None and self._inertial.placement.has_poses:
             return self._inertial.placement.path_before_loops()
-        return store.odometry(scales)
+        return store.odometry(in_metres=in_metres)
 
     def check_savable(self, path: Path) -> None:
         """Check before the first frame that there will be one map to save.
@@ -122,18 +113,17 @@ class Placement:
         """
         self._savable(path).check_savable(path)
 
-    def save_map(self, path: Path, source: str, scales: Mapping[int, MetricScale]) -> None:
+    def save_map(self, path: Path, source: str) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
 
         Args:
             path: the file.
             source: name of the recording.
-            scales: by number of the world, to write those in metres.
 
         Raises:
             OutputError: the file cannot be written; errors of `check_savable`.
         """
-        self._savable(path).save_map(path, source, scales)
+        self._savable(path).save_map(path, source)
 
     def close(self) -> None:
         """End threads and processes."""

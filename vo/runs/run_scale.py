@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,7 +49,6 @@ class RunScale:
         store: TrajectoryStore,
         folder: Path,
         known: Sequence[str] = (),
-        metric: Collection[int] = (),
     ) -> None:
         """Measure, convert the path, and write the files of markers and globe.
 
@@ -57,7 +56,6 @@ class RunScale:
             store: the path.
             folder: of the results.
             known: sentences for the user beside those of the sources.
-            metric: numbers of the worlds that are in metres by a loaded map, and keep them.
 
         Raises:
             OutputError: one of them cannot be written.
@@ -67,7 +65,7 @@ class RunScale:
         path = store.path()
         self._unscaled = path.trajectory
         measured = [source.measure(path) for source in self._sources.all]
-        self.findings = without_metric(choose_scales(measured), metric)
+        self.findings = without_metric(choose_scales(measured), store.metric.by_map)
         if self.by_world:
             store.apply_scales(self.by_world)
         notes = list(known)
@@ -84,7 +82,7 @@ class RunScale:
     def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
         """Finish a recorder, which gets paths and markers in units of the map, and the scales."""
         if self.by_world and isinstance(recorder, ScaledRecorder):
-            recorder.set_scales(store.scales_of_segments(self.by_world))
+            recorder.set_scales(store.scales_of_segments())
         markers = self._sources.markers
         if markers is not None and isinstance(recorder, MarkerRecorder):
             recorder.set_markers(markers.seen())

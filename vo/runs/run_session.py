@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +13,6 @@ from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
 from vo.base.printable import one_line
 from vo.base.records.inertial_use import InertialUse
-from vo.base.records.metric_scale import MetricScale
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Estimate, Frame, Trajectory
 from vo.engine.odometry import Odometry
@@ -177,7 +176,7 @@ class RunSession:
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
         for estimate in self._estimates(_awaited(frames, clock, interrupts), interrupts):
             with clock.stage("write"), interrupts.waiting(signals=1):
-                is_metric = self._odometry.placement.is_metric(estimate.segment)
+                is_metric = self._odometry.trajectory.metric.is_metric(estimate.segment)
                 self._poses.send(estimate, is_metric=is_metric)
             self._output(estimate, clock)
             self._folder.frames.append(frame_line(estimate, clock.stage_ms))
@@ -261,33 +260,34 @@ class RunSession:
             if not self._folder.is_finished:
                 self._write_changed()
                 if self._odometry.placement.closed_loops:
-                    self._folder.write_odometry(self._before_loops(self._scale.by_world))
+                    self._folder.write_odometry(self._before_loops(in_metres=True))
         finally:
             self._folder.finish()
 
     def _save_map(self) -> None:
         if self._request.save_map is not None:
-            self._odometry.placement.save_map(
-                self._request.save_map, self._request.public_name, self._scale.by_world
-            )
+            self._odometry.placement.save_map(self._request.save_map, self._request.public_name)
 
     def _apply_scale(self) -> None:
         placement = self._odometry.placement
-        metric = () if placement.map_use is None else placement.map_use.metric_worlds
-        self._scale.apply(self._odometry.trajectory, self._folder.path, placement.notes, metric)
+        self._scale.apply(self._odometry.trajectory, self._folder.path, placement.notes)
 
     def _finish_recording(self) -> None:
         placement = self._odometry.placement
         if placement.closed_loops and isinstance(self._recorder, LoopRecorder):
             store = self._odometry.trajectory
-            found = placement.closed_loops, placement.relocalisations, self._before_loops({})
-            scales = store.map_scales(self._scale.by_world)
+            found = (
+                placement.closed_loops,
+                placement.relocalisations,
+                self._before_loops(in_metres=False),
+            )
+            scales = store.map_scales()
             self._recorder.set_loops(LoopClosures(*found, store.worlds, scales))
         self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
 
-    def _before_loops(self, scales: Mapping[int, MetricScale]) -> Trajectory:
+    def _before_loops(self, *, in_metres: bool) -> Trajectory:
         store = self._odometry.trajectory
-        return self._odometry.placement.path_before_loops(store, scales)
+        return self._odometry.placement.path_before_loops(store, in_metres=in_metres)
 
     def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._statistics.add(estimate)

@@ -251,10 +251,10 @@ def test_only_repairs_that_images_do_not_confirm_are_taken_back(threads: int) ->
     first = replace(case, problem=with_wrong_motion(problem, AT, WRONG, is_doubted=False))
     both = replace(case, problem=with_wrong_motion(problem, AT, WRONG))
     graph = _graph(both, threads)
-    graph.unconfirmed = lambda placed: [key for key in placed.wrong if key.keyframe == AT]
-    graph.submit()
-    placed, expected = graph.result(), _in_graph(first, threads)
+    graph.submit(both.problem.loops)
+    placed = graph.result(lambda placed: [key for key in placed.wrong if key.keyframe == AT])
     graph.close()
+    expected = _in_graph(first, threads)
     assert placed.wrong == expected.wrong == (PlaceKey(0, 60),)
     np.testing.assert_array_equal(placed.world_from_cam, expected.world_from_cam)
 
@@ -265,8 +265,8 @@ def test_a_removed_keyframe_hands_its_doubt_on() -> None:
     needed = {key.keyframe for loop in problem.loops for key in (loop.earlier, loop.later)}
     assert AT not in needed
     graph = _graph(replace(case, problem=problem), 1)
-    graph.remove_keyframes([PlaceKey(0, AT)])
-    graph.submit()
+    graph.remove_keyframes([PlaceKey(0, AT)], problem.loops)
+    graph.submit(problem.loops)
     assert graph.result().wrong == (PlaceKey(0, AT + 1),)
 
 
@@ -327,10 +327,7 @@ def test_a_loaded_map_stays_as_it_is() -> None:
     whole = cut(case.problem, 150)
     for n in range(150, 300):
         graph.add_keyframe(_place(whole, n, session=1, segment=0))
-    for loop in whole.loops:
-        if loop.earlier.keyframe < 150 <= loop.later.keyframe:
-            graph.add_loop(replace(loop, later=PlaceKey(1, loop.later.keyframe)))
-    graph.submit()
+    graph.submit([replace(loop, later=PlaceKey(1, loop.later.keyframe)) for loop in _across(whole)])
     placed = graph.result()
     assert set(placed.world.tolist()) == {0}
     np.testing.assert_allclose(
@@ -345,8 +342,8 @@ def test_culled_keyframes_leave_the_others_where_they_are() -> None:
     ends = {key for loop in case.problem.loops for key in (loop.earlier, loop.later)}
     expected = _in_graph(case, threads=1)
     graph = _graph(case, threads=1)
-    graph.remove_keyframes([PlaceKey(0, n) for n in range(1, 299, 2)])
-    graph.submit()
+    graph.remove_keyframes([PlaceKey(0, n) for n in range(1, 299, 2)], case.problem.loops)
+    graph.submit(case.problem.loops)
     placed = graph.result()
     left = [n for n in range(300) if n % 2 == 0 or n == 299 or PlaceKey(0, n) in ends]
     assert [key.keyframe for key in placed.keys] == left
@@ -367,11 +364,9 @@ def test_inertial_poses_give_their_segment_metres_and_take_part_in_the_graph() -
     for n in range(300):
         graph.add_keyframe(_place(scaled, n, session=0, segment=int(n >= 150)))
     for loop in loops:
-        relation = loop.earlier_from_later.copy()
-        relation[:3, 3] *= 0.5
-        graph.add_loop(replace(loop, earlier_from_later=relation))
+        loop.earlier_from_later[:3, 3] *= 0.5
     known = [n for n in range(10, 300) if n % 3]
-    graph.submit({PlaceKey(0, n): InertialPose(0, case.truth[n], 2.0) for n in known})
+    graph.submit(loops, {PlaceKey(0, n): InertialPose(0, case.truth[n], 2.0) for n in known})
     placed = graph.result()
     assert set(placed.world.tolist()) == {0}
     assert not placed.rejected
@@ -389,7 +384,7 @@ def test_a_loop_with_an_unknown_keyframe_is_an_error() -> None:
 
 def _in_graph(case: Laps, threads: int) -> PlacedKeyframes:
     graph = _graph(case, threads)
-    graph.submit()
+    graph.submit(case.problem.loops)
     placed = graph.result()
     graph.close()
     return placed
@@ -399,8 +394,6 @@ def _graph(case: Laps, threads: int) -> PoseGraph:
     graph = PoseGraph(threads)
     for n in range(len(case.truth)):
         graph.add_keyframe(_place(case.problem, n, session=0, segment=0))
-    for loop in case.problem.loops:
-        graph.add_loop(loop)
     return graph
 
 

@@ -89,9 +89,7 @@ class Course:
             graph.add_map(placed, [place.is_metric for place in self.before.places])
         for place in self.places:
             graph.add_keyframe(place)
-        for loop in self.loops:
-            graph.add_loop(loop)
-        graph.submit(doubted=self.markers.repeated)
+        graph.submit(self.loops, doubted=self.markers.repeated)
         placed = graph.result()
         self.markers.refuse(placed.rejected)
         return placed

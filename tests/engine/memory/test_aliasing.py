@@ -15,11 +15,11 @@ from vo.base.config import load_config
 from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Descriptors
 from vo.engine.backend.pose_graph import PoseGraph
+from vo.engine.maps.map_file import MapFile
 from vo.engine.memory.recognition import Recogniser
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.loop_verification import LoopVerifier
-from vo.engine.places.map_file import MapFile
-from vo.engine.places.records import Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
 from vo.engine.places.screening import Screening
 from vo.engine.places.vocabulary_file import built_in_vocabulary
 
@@ -89,22 +89,19 @@ def _placed(
 ) -> tuple[PlacedKeyframes, int]:
     """Where the pose graph has the keyframes, and the number of its loops."""
     scale_factor = load_config("default").features.scale_factor
-    graph, count = PoseGraph(), 0
+    graph, loops = PoseGraph(), list[Loop]()
     with KeyframeDatabase(built_in_vocabulary()) as database:
         screening = Screening(database.vocabulary, scale_factor)
         verifier = LoopVerifier(scale_factor)
         recogniser = Recogniser(database, lambda: (screening, verifier), camera, threads=1)
-        if by_images:
-            graph.unconfirmed = recogniser.unconfirmed
         for place in places:
             recognised = recogniser.add(place).result()
             graph.add_keyframe(place)
-            for loop in recognised.loops:
-                graph.add_loop(loop)
-            count += len(recognised.loops)
-            graph.remove_keyframes(recognised.removed)
-        graph.submit()
-        return graph.result(), count
+            loops += recognised.loops
+            graph.remove_keyframes(recognised.removed, loops)
+        graph.submit(loops)
+        placed = graph.result(recogniser.unconfirmed) if by_images else graph.result()
+        return placed, len(loops)
 
 
 def test_a_walk_between_two_copies_of_a_room_closes_no_loop(

@@ -13,7 +13,7 @@ import pytest
 from room_course import FILES, run_rounds
 
 from vo.base.geometry.similarity import umeyama
-from vo.engine.places.map_file import MapFile
+from vo.engine.maps.map_file import MapFile
 from vo.recordings.formats.trajectory import read_tum
 
 IMU = "inertial.enabled=true"

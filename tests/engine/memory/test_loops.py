@@ -19,9 +19,9 @@ from vo.base.config import load_config
 from vo.base.errors import ConfigError
 from vo.base.types import Floats
 from vo.cli.app import app
+from vo.engine.maps.map_file import MapFile
 from vo.engine.odometry import Odometry
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.map_file import MapFile
 from vo.outputs.recorders import entities
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.registry import open_source

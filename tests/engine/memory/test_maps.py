@@ -23,7 +23,7 @@ from vo.base.config import load_config
 from vo.base.errors import ConfigError, OutputError, SourceError
 from vo.base.types import Floats, Trajectory
 from vo.cli.app import app
-from vo.engine.places.map_file import MapFile, write_map
+from vo.engine.maps.map_file import MapFile, write_map
 from vo.engine.places.records import MarkerVisit
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.run_recording import run

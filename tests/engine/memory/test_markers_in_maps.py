@@ -17,8 +17,8 @@ from vo.base.geometry.transforms import inverse
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, without_metric
 from vo.base.types import Floats
 from vo.cli.app import app
-from vo.engine.places.map_file import MapFile
-from vo.engine.places.map_markers import at_keyframes
+from vo.engine.maps.map_file import MapFile
+from vo.engine.maps.markers import at_keyframes
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.scaling.creation import ScaleOptions
 from vo.tools.maps.contents import map_contents

@@ -1,9 +1,9 @@
-"""Pose graph of a run: collects stored keyframes and loops, and has them placed."""
+"""Pose graph of a run: collects stored keyframes, and has them placed by loops between them."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import TYPE_CHECKING
@@ -35,14 +35,10 @@ class _Node:
 
 
 class PoseGraph:
-    """Collects stored keyframes and loops, and has them optimised.
+    """Collects stored keyframes, and has them optimised with loops.
 
     The result of `submit` is to be requested (`result`) at a fixed keyframe, so that it does not
     depend on the load of the machine.
-
-    Attributes:
-        unconfirmed: names those of the keyframes `PlacedKeyframes.wrong` whose new motion the
-            images do not confirm. Their motions stay as they were.
 
     Args:
         threads: with more than one, graphs are optimised in another process, which is started by
@@ -50,12 +46,10 @@ class PoseGraph:
     """
 
     def __init__(self, threads: int = 1) -> None:
-        self.unconfirmed: Callable[[PlacedKeyframes], Sequence[PlaceKey]] = lambda _: ()
         # Later graphs place the keyframes beside a motion anew, and less accurately.
         self._confirmed: set[PlaceKey] = set()  # by images in an earlier graph
         self._threads = threads
         self._nodes: dict[PlaceKey, _Node] = {}
-        self._loops: list[Loop] = []
         self._first_segment = 0  # number of the chain of the run's segment 0
         self._process: SolverProcess[GraphProblem, PlacedKeyframes] | None = None
         self._submitted: GraphProblem | None = None
@@ -96,20 +90,12 @@ class PoseGraph:
             )
         self._first_segment = int(placed.world.max(initial=-1)) + 1
 
-    def add_loop(self, loop: Loop) -> None:
-        """Add a verified loop between keyframes that were added."""
-        self._loops.append(loop)
-
-    def keep_loops(self, kept: Sequence[int]) -> None:
-        """Forget all loops but those of increasing indices."""
-        self._loops = [self._loops[n] for n in kept]
-
-    def remove_keyframes(self, keys: Sequence[PlaceKey]) -> None:
+    def remove_keyframes(self, keys: Sequence[PlaceKey], loops: Iterable[Loop] = ()) -> None:
         """Remove culled keyframes; the motions before and after each are joined.
 
-        Keyframes of loops stay, for what the loops measured. Those removed before are ignored.
+        Keyframes of `loops` stay, for what these measured. Those removed before are ignored.
         """
-        needed = {key for loop in self._loops for key in (loop.earlier, loop.later)}
+        needed = {key for loop in loops for key in (loop.earlier, loop.later)}
         gone = {key for key in keys if key in self._nodes} - needed
         carried: _Node | None = None
         for node in self._ordered():
@@ -123,22 +109,24 @@ class PoseGraph:
 
     def submit(
         self,
+        loops: Sequence[Loop],
         inertial: Mapping[PlaceKey, InertialPose] | None = None,
         doubted: Sequence[int] = (),
     ) -> None:
         """Begin to optimise the graph as it is now.
 
         Args:
+            loops: verified, between its keyframes.
             inertial: poses of keyframes by an inertial sensor, where it has given them. They take
                 the place of those by odometry, and other keyframes of their segments follow the
                 nearest one before them. Segments in one world by the sensor are one chain.
             doubted: ids of markers whose loops are false.
         """
-        self._start(self._problem(inertial or {}, doubted))
+        self._start(self._problem(loops, inertial or {}, doubted))
 
     def _start(self, problem: GraphProblem) -> None:
         self._submitted = problem
-        self._is_in_process = self._threads > 1 and len(self._loops) > 0
+        self._is_in_process = self._threads > 1 and len(problem.loops) > 0
         if not self._is_in_process:
             return
         from vo.engine.backend.graph_solution import optimise_graph, unplaced
@@ -151,11 +139,17 @@ class PoseGraph:
             _log.warning("optimising in this process, no other can be started: %s", error)
             self._threads, self._is_in_process = 1, False
 
-    def result(self) -> PlacedKeyframes:
+    def result(
+        self, unconfirmed: Callable[[PlacedKeyframes], Sequence[PlaceKey]] = lambda _: ()
+    ) -> PlacedKeyframes:
         """Wait for the placed keyframes of the graph that was submitted.
 
-        Loops that the graph takes for false are in `rejected`; they stay in the graph and may be
-        accepted later, with more loops.
+        Loops that the graph takes for false are in `rejected`; they may be accepted later, with
+        more loops.
+
+        Args:
+            unconfirmed: names those of the keyframes `PlacedKeyframes.wrong` whose new motion the
+                images do not confirm. Their motions stay as they were.
 
         Raises:
             RuntimeError: nothing was submitted.
@@ -164,7 +158,7 @@ class PoseGraph:
             raise RuntimeError("no graph was submitted")
         problem = self._submitted
         placed = self._solved(problem)
-        while refused := set(self.unconfirmed(placed) if placed.wrong else ()) - self._confirmed:
+        while refused := set(unconfirmed(placed) if placed.wrong else ()) - self._confirmed:
             trusted = [PlaceKey(*key) in refused for key in problem.keys.tolist()]
             problem = replace(problem, is_doubted=problem.is_doubted & ~np.array(trusted))
             self._start(problem)
@@ -189,7 +183,10 @@ class PoseGraph:
         return sorted(self._nodes.values(), key=_order)
 
     def _problem(
-        self, inertial: Mapping[PlaceKey, InertialPose], doubted: Sequence[int]
+        self,
+        loops: Sequence[Loop],
+        inertial: Mapping[PlaceKey, InertialPose],
+        doubted: Sequence[int],
     ) -> GraphProblem:
         from vo.engine.backend.graph_problem import GraphProblem
 
@@ -206,7 +203,7 @@ class PoseGraph:
             scale=np.array([node.scale for node in nodes]),
             covariance=np.array([node.covariance for node in nodes]).reshape(-1, 6, 6),
             is_doubted=np.array([node.is_doubted for node in nodes], dtype=bool),
-            loops=tuple(self._loops),
+            loops=tuple(loops),
             doubted=tuple(doubted),
         )
 

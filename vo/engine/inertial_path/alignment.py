@@ -120,10 +120,6 @@ class InertialAlignment:
             states=self._states(placed),
         )
 
-    def is_metric(self, segment: int) -> bool:
-        """Whether lengths of a segment of one camera are metres now."""
-        return self._trajectory.store.world(segment) in self.placement.metric_worlds
-
     @timed("inertial")
     def begin_frame(self, local_map: LocalMap) -> None:
         """Estimate the states of keyframes that were optimised since the last frame."""
@@ -209,7 +205,7 @@ class InertialAlignment:
         """Measure the time offset with all frames; whether another one is used now."""
         store = self._trajectory.store
         tracked = store.frames["fraction"] == 0  # the others are interpolated
-        path = store.odometry({})
+        path = store.odometry()
         return self._offset.measure(
             path.stamps_ns[tracked],
             store.frames["segment"][tracked],

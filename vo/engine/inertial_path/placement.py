@@ -75,7 +75,6 @@ class InertialPlacement:
         self._poses: dict[int, EstimatedPose] = {}  # newest ones, by id of the keyframe
         self._given: Mapping[int, EstimatedPose] = {}  # those of the newest pose graph
         self._sigma = (0.0, 0.0)  # of their scale (relative) and vertical (radians)
-        self._in_metres: set[int] = set()  # segments whose keyframes are placed in metres
         self._in_graph: set[int] = set()  # segments whose keyframes the pose graph has placed
         self._corrections: dict[int, _Correction] = {}  # by the pose graph, by number of the world
 
@@ -87,7 +86,7 @@ class InertialPlacement:
     @property
     def metric_worlds(self) -> set[int]:
         """Numbers of the worlds whose lengths are metres now."""
-        return {self._trajectory.store.world(segment) for segment in self._in_metres}
+        return self._trajectory.store.metric.worlds_by_sensor
 
     def is_in_graph(self, segment: int) -> bool:
         """Whether the pose graph has placed keyframes of a segment."""
@@ -199,7 +198,9 @@ class InertialPlacement:
         }
         known = {world_of(self._given[k].segment) for k in ids if k in self._given}
         metric = {segment for segment in segments if world_of(segment) in known - loaded}
-        self._in_metres = (self._in_metres - segments) | metric
+        by_sensor = self._trajectory.store.metric.by_sensor
+        by_sensor -= segments - metric
+        by_sensor |= metric
         scale = {placed.keys[n].keyframe: float(placed.scale[n]) for n in rows}
         newest = {self._poses[k].world: k for k in ids if k in self._poses}
         for world, keyframe in newest.items():
@@ -240,12 +241,12 @@ class InertialPlacement:
         covariance = np.stack([e.covariance for e in estimated])
         world = np.array([e.world for e in estimated], np.int64)
         if correction is None:
-            self._in_metres |= {e.segment for e in estimated}
+            store.metric.by_sensor |= {e.segment for e in estimated}
         else:
             (placed,) = store.keyframes_by_id([correction.newest])
             world[:] = store.world(placed.segment)
-            if placed.segment in self._in_metres:
-                self._in_metres |= {e.segment for e in estimated}
+            if placed.segment in store.metric.by_sensor:
+                store.metric.by_sensor |= {e.segment for e in estimated}
             moved = correction.map_from_upright
             pose, scale = moved.transform_poses(pose), scale * moved.scale
             covariance = scaled_covariance(covariance, moved.scale)

@@ -14,18 +14,18 @@ from vo.base.types import Camera
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.frontend.contracts import DescriptorFormat
 from vo.engine.frontend.orb import OrbExtractor
-from vo.engine.memory.inertial_poses import InertialPoses
 from vo.engine.memory.loop_bundle import LoopBundle
-from vo.engine.memory.map_worlds import WorldsInMap
 from vo.engine.memory.memory import Memory
 from vo.engine.memory.place_maker import PlaceMaker
 from vo.engine.memory.recognition import Recogniser
+from vo.engine.memory.run_in_map import RunInMap
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.vocabulary import DESCRIPTOR_BYTES, Vocabulary
 from vo.engine.places.vocabulary_file import built_in_vocabulary, read_vocabulary
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:  # imported only where there are candidates: it takes a few ms each
+    from vo.engine.inertial_path.alignment import InertialAlignment
     from vo.engine.places.loop_verification import LoopVerifier
     from vo.engine.places.screening import Screening
 
@@ -37,7 +37,7 @@ def make_memory(
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
     threads: int,
-    inertial: InertialPoses | None = None,
+    inertial: InertialAlignment | None = None,
 ) -> Memory:
     """The memory of a run.
 
@@ -62,7 +62,7 @@ def make_memory(
     database, graph = KeyframeDatabase(vocabulary), PoseGraph(threads)
     file, loaded, session = config.memory.map, None, 0
     if file:
-        from vo.engine.memory.loaded_map import load_map
+        from vo.engine.maps.loading import load_map
 
         try:
             loaded = load_map(Path(file), database, is_metric=rig.is_metric)
@@ -75,22 +75,21 @@ def make_memory(
     adjusts = config.memory.adjust and not rig.is_metric and inertial is None
     describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
     maker = PlaceMaker(session, scale_factor, is_metric=rig.is_metric, describer=describer)
-    judges = partial(_judges, vocabulary, config)
+    judges = partial(make_judges, vocabulary, config)
     recogniser = Recogniser(database, judges, camera, threads, loaded, localizes=localizes)
-    graph.unconfirmed = recogniser.unconfirmed
     return Memory(
         maker,
         recogniser,
         graph,
         trajectory,
         stopwatch,
-        WorldsInMap(file, loaded),
+        RunInMap(file, loaded, trajectory.store.metric),
         inertial,
         LoopBundle(rig.intrinsics, config.smoothing) if adjusts else None,
     )
 
 
-def _judges(vocabulary: Vocabulary, config: Config) -> tuple[Screening, LoopVerifier]:
+def make_judges(vocabulary: Vocabulary, config: Config) -> tuple[Screening, LoopVerifier]:
     """The screening and the verification of candidates."""
     from vo.engine.places.loop_verification import LoopVerifier
     from vo.engine.places.screening import Screening

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from vo.base.errors import OutputError
@@ -16,10 +15,10 @@ from vo.base.scheduling import give_way
 from vo.base.types import Camera
 from vo.engine.memory.search_pauses import SearchPauses
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
 
 if TYPE_CHECKING:  # imported only where there are candidates, or maps: it takes a few ms each
-    from vo.engine.memory.loaded_map import LoadedMap
+    from vo.engine.maps.loading import LoadedMap
     from vo.engine.places.loop_verification import LoopVerifier
     from vo.engine.places.screening import Screening
 
@@ -56,12 +55,17 @@ class Recogniser:
     All work on the database is done in one thread, in the order of the calls, so that no result
     depends on the time at which it is requested.
 
-    Args:
+    Attributes:
         database: of stored keyframes.
-        judges: makes what chooses the candidates that are verified, and what decides on them.
         camera: ideal (rectified) camera of the keyframes.
-        threads: with one, all work is done at once.
         loaded: map whose keyframes are in the database, or None.
+
+    Args:
+        database: see above.
+        judges: makes what chooses the candidates that are verified, and what decides on them.
+        camera: see above.
+        threads: with one, all work is done at once.
+        loaded: see above.
         localizes: whether only the loaded map is searched, and keyframes are not stored.
     """
 
@@ -75,10 +79,10 @@ class Recogniser:
         *,
         localizes: bool = False,
     ) -> None:
-        self._database = database
+        self.database = database
         self._make_judges = judges
-        self._camera = camera
-        self._loaded = loaded
+        self.camera = camera
+        self.loaded = loaded
         self._localizes = localizes
         self._recent: deque[Place] = deque(maxlen=SUCCESSION)  # newest first, of one segment
         self._doubted: list[PlaceKey] = []  # keyframes before which odometry may be wrong
@@ -107,9 +111,7 @@ class Recogniser:
         """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
         from vo.engine.places.repair_check import unconfirmed_repairs
 
-        return self._start(
-            lambda: unconfirmed_repairs(self._database, self._camera, placed)
-        ).result()
+        return self._start(lambda: unconfirmed_repairs(self.database, self.camera, placed)).result()
 
     def _start(self, work: Callable[[], T]) -> Future[T]:
         if self._pool is not None:
@@ -132,60 +134,16 @@ class Recogniser:
     def remove(self, keys: tuple[PlaceKey, ...]) -> None:
         """Forget keyframes; all results must be known."""
         for key in keys:
-            if key in self._database:
-                self._database.remove(key)
+            if key in self.database:
+                self.database.remove(key)
         self._recent.clear()
         self._doubted = [key for key in self._doubted if key not in keys]
-
-    def check_savable(self, path: Path) -> None:
-        """Check that keyframes of the run can be saved with those of the loaded map.
-
-        Raises:
-            OutputError: the loaded map is of another camera.
-        """
-        if self._loaded is not None and self._loaded.camera != self._camera:
-            raise OutputError(
-                f"the map {path} cannot be saved: the loaded map was made with another camera, "
-                "and a map has one camera; leave out --save-map"
-            )
-
-    def save_map(
-        self,
-        path: Path,
-        source: str,
-        placed: PlacedKeyframes,
-        loops: Sequence[Loop],
-        metric_worlds: tuple[int, ...],
-        markers: Sequence[MarkerVisit],
-    ) -> None:
-        """Write all stored keyframes that are placed; none may be without a result.
-
-        Raises:
-            OutputError: the file cannot be written, or the loaded map is of another camera.
-        """
-        from vo.engine.memory.loaded_map import with_covariance_of
-        from vo.engine.places.map_file import MapHeader, write_map
-        from vo.engine.places.map_markers import at_keyframes
-
-        self.check_savable(path)
-        sessions: tuple[str, ...] = (source,)
-        if self._loaded is not None:
-            sessions = (*self._loaded.sessions, source)
-            placed = with_covariance_of(placed, self._loaded.placed)
-            loops = [*self._loaded.loops, *loops]
-        vocabulary = self._database.vocabulary.id
-        header = MapHeader(self._camera, vocabulary, sessions, metric_worlds)
-        known = set(placed.keys)
-        keyframes = ((k, self._database.encoded(k)) for k in self._database if k in known)
-        kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]
-        written = {key for key in self._database if key in known}
-        write_map(path, header, keyframes, placed, kept, at_keyframes(markers, placed, written))
 
     def close(self) -> None:
         """End the thread, and remove temporary files."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
-        self._database.close()
+        self.database.close()
 
     def _recognise(self, place: Place, *, searches: bool) -> Recognised:
         if self._recent and self._recent[0].frame.segment != place.frame.segment:
@@ -194,7 +152,7 @@ class Recogniser:
         self._recent.appendleft(place)
         if place.is_doubted:
             self._doubted.append(place.key)
-        removed = () if self._localizes else self._database.add(place)
+        removed = () if self._localizes else self.database.add(place)
         if not searches or self._pauses.skips(place):
             return Recognised(place, removed)
         found = self._find(list(self._recent))
@@ -208,10 +166,10 @@ class Recogniser:
         one that exists twice.
         """
         is_familiar = False
-        for candidate in self._database.query(later[0])[:_MAX_CANDIDATES]:
-            earlier = self._database.get(candidate.key)
+        for candidate in self.database.query(later[0])[:_MAX_CANDIDATES]:
+            earlier = self.database.get(candidate.key)
             screening, _ = self._judges
-            if not screening.passes(later[0], earlier, self._camera, self._camera_of(earlier)):
+            if not screening.passes(later[0], earlier, self.camera, self._camera_of(earlier)):
                 continue
             is_familiar = True
             loop = self._verified(later, earlier)
@@ -219,13 +177,13 @@ class Recogniser:
                 continue
             loops = [loop]
             if not self._is_connected(earlier, later[0]):
-                rivals = self._database.rivals(later[0], candidate.key)
-                also = (self._verified(later, self._database.get(rival.key)) for rival in rivals)
+                rivals = self.database.rivals(later[0], candidate.key)
+                also = (self._verified(later, self.database.get(rival.key)) for rival in rivals)
                 loops += [each for each in also if each is not None]
             for each in loops:
-                self._database.protect(each.earlier)
+                self.database.protect(each.earlier)
             if not self._localizes:
-                self._database.protect(later[0].key)
+                self.database.protect(later[0].key)
             return Recognised(later[0], loops=tuple(loops), is_familiar=True)
         return Recognised(later[0], is_familiar=is_familiar)
 
@@ -239,18 +197,18 @@ class Recogniser:
     def _verified(self, later: Sequence[Place], earlier: Place) -> Loop | None:
         """The loop from the newest keyframe to an earlier one, None if they are other places."""
         beside = [earlier]
-        for key, _ in self._database.covisible(earlier.key, _MIN_SHARED):
+        for key, _ in self.database.covisible(earlier.key, _MIN_SHARED):
             if len(beside) > _NEIGHBOURS:
                 break
-            place = self._database.get(key)
+            place = self.database.get(key)
             if place.frame.segment == earlier.frame.segment:
                 beside.append(place)
         camera = self._camera_of(earlier)
         _, verifier = self._judges
-        result = verifier.verify(later, beside, self._camera, camera)
+        result = verifier.verify(later, beside, self.camera, camera)
         return result if isinstance(result, Loop) else None
 
     def _camera_of(self, place: Place) -> Camera | None:
         """That of the loaded map for one of its keyframes."""
-        is_loaded = self._loaded is not None and place.key in self._loaded.frames
-        return self._loaded.camera if self._loaded is not None and is_loaded else None
+        is_loaded = self.loaded is not None and place.key in self.loaded.frames
+        return self.loaded.camera if self.loaded is not None and is_loaded else None

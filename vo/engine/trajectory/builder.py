@@ -34,10 +34,11 @@ class TrajectoryBuilder:
 
     Args:
         cam0_from_rectified: (4, 4).
+        is_metric: whether the cameras measure metres.
     """
 
-    def __init__(self, cam0_from_rectified: Floats) -> None:
-        self.store = TrajectoryStore()
+    def __init__(self, cam0_from_rectified: Floats, *, is_metric: bool = False) -> None:
+        self.store = TrajectoryStore(is_metric=is_metric)
         self._reached = Table(_REACHED)
         self.cam0_from_rectified = cam0_from_rectified
         self._rectified_from_cam0 = inverse(cam0_from_rectified)

@@ -16,6 +16,7 @@ from vo.base.types import Floats, Ints, KeyframePose, Trajectory
 from vo.engine.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
 from vo.engine.trajectory.interpolation import InterpolatedFrames, fill
 from vo.engine.trajectory.map_frame import Anchor, make_anchors, scaled_covariance
+from vo.engine.trajectory.metric_segments import MetricSegments
 from vo.engine.trajectory.rows import (
     FRAME,
     KEYFRAME,
@@ -38,9 +39,14 @@ class TrajectoryStore:
 
     Attributes:
         interpolated: frames to be interpolated, None for no interpolation.
+        metric: which segments are in metres, and by what.
+
+    Args:
+        is_metric: whether the cameras measure metres.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_metric: bool = False) -> None:
+        self.metric = MetricSegments(by_cameras=is_metric, world_of=self.world)
         self.interpolated: InterpolatedFrames | None = None
         self._frames = Table(FRAME)
         self._inertial: list[InertialFrame] = []
@@ -183,9 +189,10 @@ class TrajectoryStore:
         Args:
             scales: by number of the world; others stay as they are.
         """
+        self.metric.scales = scales
         table = self._keyframes.rows
         for number in np.unique(table["segment"]).tolist():
-            scale = scales.get(self.world(number))
+            scale = self.metric.scale(number)
             if scale is None:
                 continue
             rows = np.flatnonzero(table["segment"] == number)
@@ -199,18 +206,18 @@ class TrajectoryStore:
             table["covariance"][rows] = (covariance + added)[:, i, j]
         self._changed = self._changed_keyframe = 0
 
-    def scales_of_segments(self, scales: Mapping[int, MetricScale]) -> dict[int, MetricScale]:
-        """Scales by number of the segment, of those by number of the world."""
-        worlds = {n: self.world(n) for n in np.unique(self.frames["segment"]).tolist()}
-        return {number: scales[world] for number, world in worlds.items() if world in scales}
+    def scales_of_segments(self) -> dict[int, MetricScale]:
+        """The scales that were applied, by number of the segment."""
+        segments = np.unique(self.frames["segment"]).tolist()
+        found = ((segment, self.metric.scale(segment)) for segment in segments)
+        return {segment: scale for segment, scale in found if scale is not None}
 
-    def map_scales(self, scales: Mapping[int, MetricScale]) -> dict[int, float]:
+    def map_scales(self) -> dict[int, float]:
         """Length in the world of one unit of odometry, by frame number of the keyframe.
 
-        Args:
-            scales: by number of the world, those that `apply_scales` got, which are left out.
+        Without the scales that were applied.
         """
-        metric = self.scales_of_segments(scales)
+        metric = self.scales_of_segments()
         found = {}
         for row in self._keyframes.rows:
             scale = metric.get(int(row["segment"]))
@@ -315,21 +322,20 @@ class TrajectoryStore:
         """The poses of `path` alone."""
         return Trajectory(self.frames["stamp_ns"][row:].copy(), self._poses(row, "world_from_cam0"))
 
-    def odometry(self, scales: Mapping[int, MetricScale]) -> Trajectory:
+    def odometry(self, *, in_metres: bool = False) -> Trajectory:
         """The path of the odometry alone, before any loop: each segment in its own frame.
 
-        Args:
-            scales: by number of the world, those of which are converted to metres.
+        In metres where a scale was applied, or in the units of the odometry.
         """
         poses, segments = self._poses(0, "odom_from_cam0"), self.frames["segment"]
-        for number, scale in self.scales_of_segments(scales).items():
+        for number, scale in self.scales_of_segments().items() if in_metres else ():
             poses[segments == number, :3, 3] *= scale.value
         return Trajectory(self.frames["stamp_ns"].copy(), poses)
 
     def trajectory_with(
         self, keyframes: Ints, worlds: Ints, map_from_cam0: Floats, scale: Floats
     ) -> Trajectory:
-        """The path with keyframes at other places, which are not kept.
+        """The path as it would be with keyframes at other places; the store does not change.
 
         Args:
             keyframes: (n,) increasing ids; segments without any are in their odometry frames.
@@ -337,15 +343,14 @@ class TrajectoryStore:
             map_from_cam0: as for `place`.
             scale: as for `place`.
         """
-        table = self._keyframes.rows
-        kept = table.copy(), dict(self._anchors), dict(self._worlds), set(self._moved)
-        changed = self._changed, self._changed_keyframe
+        other = TrajectoryStore()
+        other._frames.replace(self.frames)  # which `place` reads only
+        table = self._keyframes.rows.copy()
         table["world_from_cam0"], table["scale"] = table["odom_from_cam0"], 1.0
-        self.place(keyframes, worlds, map_from_cam0, scale, np.full((len(keyframes), 6, 6), np.nan))
-        found = self.trajectory()
-        table[:], self._anchors, self._worlds, self._moved = kept
-        self._changed, self._changed_keyframe = changed
-        return found
+        other._keyframes.replace(table)
+        unknown = np.full((len(keyframes), 6, 6), np.nan)
+        other.place(keyframes, worlds, map_from_cam0, scale, unknown)
+        return other.trajectory()
 
     def _poses(self, row: int, frame: str) -> Floats:
         """Poses (n, 4, 4) of all frames from a row on, by the name of the keyframes' poses."""

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from vo.base.errors import ConfigError
-from vo.engine.places.map_file import MapFile
-from vo.engine.places.map_markers import listed_markers
+from vo.engine.maps.map_file import MapFile
+from vo.engine.maps.markers import listed_markers
 
 
 def map_contents(map_file: MapFile) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,22 +13,22 @@ import numpy as np
 from vo.base.config import Config
 from vo.base.errors import ConfigError
 from vo.engine.backend.pose_graph import PoseGraph
-from vo.engine.memory.loaded_map import LoadedMap, load_map, with_covariance_of
+from vo.engine.maps.loading import LoadedMap, load_map, with_covariance_of
+from vo.engine.maps.map_file import MapFile, MapHeader, write_map
+from vo.engine.memory.creation import make_judges
 from vo.engine.memory.recognition import SUCCESSION, Recogniser
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.loop_verification import LoopVerifier
-from vo.engine.places.map_file import MapFile, MapHeader, write_map
 from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
-from vo.engine.places.screening import Screening
 from vo.engine.places.vocabulary import Vocabulary
 
 
 def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) -> int:
     """Write two maps as one, whose worlds are connected where they show the same place.
 
-    Keyframes of the second map are searched in the first one, by the rules that are used between a
-    run and a loaded map. The worlds of both are rigid: nothing in them moves.
+    Keyframes of the second map are searched in the first one, as those of a run are in a loaded
+    map. As maps do not record the settings of their runs, the default ones are used. The worlds of
+    both are rigid: nothing in them moves.
 
     Args:
         first: map whose worlds keep their frames and numbers.
@@ -102,13 +103,8 @@ def _in_order(added: MapFile, sessions: int) -> Iterator[Place]:
 
 def _search(database: KeyframeDatabase, loaded: LoadedMap, places: list[Place]) -> list[Loop]:
     """Loops from keyframes to those of the first map."""
-    config = Config()
-    scale_factor, sigma_px = config.features.scale_factor, config.patches.sigma_px
-    screening = Screening(database.vocabulary, scale_factor, seed=config.seed)
-    verifier = LoopVerifier(scale_factor, sigma_px=sigma_px, seed=config.seed)
-    recogniser = Recogniser(
-        database, lambda: (screening, verifier), loaded.camera, 1, loaded, localizes=True
-    )
+    judges = partial(make_judges, database.vocabulary, Config())
+    recogniser = Recogniser(database, judges, loaded.camera, 1, loaded, localizes=True)
     recent: deque[Place] = deque(maxlen=SUCCESSION)
     found: list[Loop] = []
     for place in places:
@@ -130,9 +126,7 @@ def _connected(
     graph = PoseGraph()
     graph.add_map(loaded.placed, loaded.is_metric)
     graph.add_map(added, is_metric)
-    for loop in loops:
-        graph.add_loop(loop)
-    graph.submit()
+    graph.submit(loops)
     return graph.result()
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from vo.base.errors import OutputError
 from vo.base.geometry.transforms import transform_points
 from vo.base.types import Bytes, Floats
-from vo.engine.places.map_file import MapFile
-from vo.engine.places.map_markers import marker_corners
+from vo.engine.maps.map_file import MapFile
+from vo.engine.maps.markers import marker_corners
 from vo.engine.places.records import PATCH_PX
 from vo.recordings.formats.ply import write_ply
 

@@ -11,8 +11,8 @@ import numpy as np
 from vo.base.errors import ConfigError
 from vo.base.types import Camera
 from vo.engine.mapping.keyframe import FrameId
+from vo.engine.maps.map_file import MapFile
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.map_file import MapFile
 from vo.engine.places.records import Loop, MarkerVisit, PlacedKeyframes, PlaceKey
 
 

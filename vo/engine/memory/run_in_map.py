@@ -1,4 +1,4 @@
-"""Worlds of a run that goes on in a loaded map."""
+"""Where a run is in the map that was loaded."""
 
 from __future__ import annotations
 
@@ -10,38 +10,39 @@ import numpy as np
 from vo.base.records.closed_loops import MapUse
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
+from vo.engine.trajectory.metric_segments import MetricSegments
 
 if TYPE_CHECKING:
-    from vo.engine.memory.loaded_map import LoadedMap
+    from vo.engine.maps.loading import LoadedMap
 
 
-class WorldsInMap:
-    """Which worlds of the run are in the map, and the frames of its keyframes.
+class RunInMap:
+    """Which worlds of the run are in the loaded map, and the frames of its keyframes.
 
     The pose graph numbers the worlds of the map first. For the run a world has the number of the
     first of its own segments, as without a map.
 
     Attributes:
         met: numbers of the worlds of the run that are in the map.
-        metric: those of them whose lengths are metres by the map.
 
     Args:
         file: of the map.
         loaded: the map, None without one.
+        metric: is told which worlds are in metres by the map.
     """
 
-    def __init__(self, file: str, loaded: LoadedMap | None) -> None:
+    def __init__(self, file: str, loaded: LoadedMap | None, metric: MetricSegments) -> None:
         self.met: tuple[int, ...] = ()
-        self.metric: tuple[int, ...] = ()
         self._file = file
         self._loaded = loaded
+        self._metric = metric
 
     @property
     def use(self) -> MapUse | None:
         """What is reported, None without a map."""
         if self._loaded is None:
             return None
-        return MapUse(self._file, self._loaded.sessions, self.met, self.metric)
+        return MapUse(self._file, self._loaded.sessions, self.met, self._metric.by_map)
 
     @property
     def markers(self) -> list[tuple[MarkerVisit, FrameId]]:
@@ -77,17 +78,6 @@ class WorldsInMap:
                 number[world] = min(number.get(world, segment), segment)
         self.met = tuple(sorted(n for world, n in number.items() if world <= last))
         metric = self._loaded.metric_worlds
-        self.metric = tuple(sorted(n for world, n in number.items() if world in metric))
+        self._metric.by_map = tuple(sorted(n for world, n in number.items() if world in metric))
         world = np.array([number.get(w, w) for w in placed.world.tolist()], np.int64)
         return replace(placed, world=world)
-
-    def metric_of(self, placed: PlacedKeyframes) -> set[int]:
-        """Numbers of the placed worlds that are metric by the map."""
-        if self._loaded is None:
-            return set()
-        world_of = dict(zip(self._loaded.placed.keys, self._loaded.placed.world, strict=True))
-        return {
-            int(world)
-            for key, world in zip(placed.keys, placed.world, strict=True)
-            if key in world_of and int(world_of[key]) in self._loaded.metric_worlds
-        }

@@ -15,8 +15,8 @@ from vo.base.errors import OutputError, SourceError
 from vo.base.geometry.transforms import se3_exp
 from vo.base.types import Camera
 from vo.engine.geometry.sim3 import similarity
+from vo.engine.maps.map_file import MapFile, MapHeader, write_map
 from vo.engine.places.encoding import decode_place, encode_place
-from vo.engine.places.map_file import MapFile, MapHeader, write_map
 from vo.engine.places.records import Loop, MarkerVisit, PlacedKeyframes
 
 RANDOM = np.random.default_rng(3)
@@ -146,7 +146,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from test_map_file import HEADER, PLACED, PLACES
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.map_file import write_map
+from vo.engine.maps.map_file import write_map
 
 def slow():
     for place in PLACES:

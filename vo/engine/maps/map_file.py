@@ -23,8 +23,7 @@ from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import open_regular
 from vo.base.files.complete_file import complete_file
 from vo.base.types import Camera
-from vo.engine.places.encoding import decode_place
-from vo.engine.places.map_checks import (
+from vo.engine.maps.checks import (
     MAX_NUMBER,
     check_place,
     check_poses,
@@ -33,7 +32,8 @@ from vo.engine.places.map_checks import (
     number,
     text,
 )
-from vo.engine.places.map_markers import MARKERS_VERSION, decode_markers, encode_markers
+from vo.engine.maps.markers import MARKERS_VERSION, decode_markers, encode_markers
+from vo.engine.places.encoding import decode_place
 from vo.engine.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
 
 _MAGIC = b"vo-map\r\n"

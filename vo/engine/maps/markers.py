@@ -10,9 +10,9 @@ import numpy as np
 from vo.base.geometry.transforms import quat_xyzw_from_rotation, transform_points
 from vo.base.types import Floats
 from vo.engine.geometry import sim3
+from vo.engine.maps.checks import MAX_NUMBER, check_poses, listed, text
 from vo.engine.markers.dictionaries import known_dictionaries, marker_count, smallest_containing
 from vo.engine.markers.plane_pose import square_points
-from vo.engine.places.map_checks import MAX_NUMBER, check_poses, listed, text
 from vo.engine.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
 
 MARKERS_VERSION = 1

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from vo.base.records.metric_scale import MetricScale
 from vo.engine.places.records import Loop, PlacedKeyframes
 from vo.engine.trajectory.map_frame import scaled_covariance
 
 
-def of_worlds(placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes:
+def of_worlds(placed: PlacedKeyframes, loops: Iterable[Loop]) -> PlacedKeyframes:
     """The keyframes of worlds with loops; others stay where they are, to the last bit."""
     world_of = dict(zip(placed.keys, placed.world.tolist(), strict=True))
     worlds = {world_of[loop.later] for loop in loops if loop.later in world_of}
@@ -36,26 +35,6 @@ def with_adjusted(placed: PlacedKeyframes, adjusted: Sequence[PlacedKeyframes]) 
             if key in row:
                 world_from_cam[row[key]], scale[row[key]] = each.world_from_cam[n], each.scale[n]
     return replace(placed, world_from_cam=world_from_cam, scale=scale)
-
-
-def in_metres(
-    placed: PlacedKeyframes,
-    worlds: Mapping[int, int],
-    scales: Mapping[int, MetricScale],
-    metric: Collection[int],
-) -> tuple[PlacedKeyframes, set[int]]:
-    """Placed keyframes, converted where there is a scale; the numbers of the worlds in metres.
-
-    Args:
-        placed: all of them.
-        worlds: the run's number of its worlds, by rows of its keyframes.
-        scales: by the run's number of the world.
-        metric: those of worlds that are in metres already.
-    """
-    factors = {n: scales[world].value for n, world in worlds.items() if world in scales}
-    placed = scaled_worlds(placed, factors)
-    rows = (*factors, *(n for n, world in worlds.items() if world in metric))
-    return placed, {int(placed.world[row]) for row in rows}
 
 
 def scaled_worlds(placed: PlacedKeyframes, factor_of: Mapping[int, float]) -> PlacedKeyframes:
