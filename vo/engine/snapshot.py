@@ -31,8 +31,8 @@ from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.lookup import rows_of
 from vo.engine.mapping.tracked_frame import TrackedFrame
-from vo.engine.tracking.motion_model import PosePrior
 from vo.engine.tracking.last_frame import LastFrame
+from vo.engine.tracking.motion_model import PosePrior
 from vo.engine.trajectory.map_frame import Anchor
 
 # Failures that leave out a frame which would mislead; the path goes on without it.

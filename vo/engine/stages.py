@@ -126,7 +126,7 @@ def make_stages(
     threads = config.threads or available_cores()
     second = _second_extractor(config, components)
     frontend = _frontend(config, components, second)
-    trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_stereo)
+    trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_metric)
     descriptors = frontend.extractor.descriptor_format
     sensor = _sensor(components)
     predictor = _predictor(sensor, components.inertial_noise, rectified)
