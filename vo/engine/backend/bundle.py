@@ -26,13 +26,7 @@ if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `
 
 
 class NormalEquations(NamedTuple):
-    """hessian @ step = -gradient for F free poses, 6 rows each, and the cost.
-
-    Attributes:
-        hessian: (6 F, 6 F).
-        gradient: (6 F,).
-        cost: half the sum of squares, robust.
-    """
+    """hessian (6 F, 6 F) @ step = -gradient (6 F,), F free poses; cost: half the robust sum."""
 
     hessian: Floats
     gradient: Floats

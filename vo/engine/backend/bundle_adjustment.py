@@ -37,10 +37,7 @@ class AdjustedWindow(NamedTuple):
     """Result for a window of K poses and M points.
 
     Attributes:
-        world_from_cam: (K, 4, 4).
-        points: (M, 3).
         point_ok: (M,) False for points with one observation, or behind a camera at the end.
-        states: further states by key.
         information: (6 K, 6 K) of the further factors on the poses, None without any.
     """
 

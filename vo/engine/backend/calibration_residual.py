@@ -26,13 +26,12 @@ def estimate_calibration_residual(
 ) -> CalibrationResidual | None:
     """One Gauss-Newton step, with all poses but one and all points of an optimised window free.
 
+    None if the window does not determine it.
+
     Args:
-        normal: normal equations of the window, with those of the residual as the last rows.
+        normal: of the window, with those of the residual as the last rows.
         size: number of these rows.
         check_size: number of rows after them, for `CalibrationResidual.bend`.
-
-    Returns:
-        None if the window does not determine it.
     """
     if not np.isfinite(normal.hessian).all():
         return None

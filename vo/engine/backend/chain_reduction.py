@@ -23,8 +23,6 @@ class ReducedGraph:
     Attributes:
         knots: (m,) rows of the poses, increasing; the first row of each chain is one.
         pose: (n,) the pose that each row follows: that of its row or of the last one before.
-        odometry: motions between poses that follow each other in a chain.
-        loops: between poses.
     """
 
     knots: Ints
@@ -59,17 +57,11 @@ def _between_knots(knots: Ints, pose: Ints, motions: ChainMotions, loops: LoopEd
 def expand(
     reduced: ReducedGraph, motions: ChainMotions, world_from: Floats, single: Floats, joint: Floats
 ) -> tuple[Floats, Floats]:
-    """Poses (n, 4, 4) of all rows, and their covariances (n, 7, 7), of the optimised poses.
+    """Poses (n, 4, 4) of all rows, and their covariances (n, 7, 7), of the m optimised poses.
 
     The correction of a motion is spread over the rows in between in proportion to their
-    uncertainty: the expected errors of the rows, given that of the last one.
-
-    Args:
-        reduced: the reduced graph.
-        motions: along the chains.
-        world_from: (m, 4, 4) similarities, optimised.
-        single: (m, 7, 7) their covariances.
-        joint: (E, 14, 14) those of both ends of each edge of odometry.
+    uncertainty: the expected errors of the rows, given that of the last one. `single` (m, 7, 7) are
+    the covariances of the poses, `joint` (E, 14, 14) those of both ends of each edge of odometry.
     """
     rows = np.arange(len(reduced.pose))
     knot = reduced.knots[reduced.pose]

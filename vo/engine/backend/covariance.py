@@ -8,7 +8,7 @@ from vo.base.types import Bools, Floats
 
 
 def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
-    """Joint covariance of a window's K poses.
+    """(6 K, 6 K) joint covariance of a window's K poses; NaN for those that are not determined.
 
     The held poses have errors too, which the others share:
     error_free = -I_ff^-1 I_fh error_held + noise, noise ~ N(0, I_ff^-1).
@@ -18,9 +18,6 @@ def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
         held: (K,) poses that stayed where they were.
         known: (6 K, 6 K) joint covariance of the held ones, NaN where unknown; entries of the
             others are ignored.
-
-    Returns:
-        (6 K, 6 K), with the covariances of the held ones unchanged; NaN for undetermined poses.
 
     Source: Barfoot, "State Estimation for Robotics", 2017, sec. 2.2.3 (a joint density is that of
     one part times that of the other given the first).

@@ -41,13 +41,7 @@ class _Predictor(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MotionFactor:
-    """A measured motion between two poses of a window.
-
-    Attributes:
-        first: row of the pose before.
-        second: row of the pose after.
-        motion: between both.
-    """
+    """A measured motion between two rows of the poses of a window."""
 
     first: int
     second: int
@@ -72,11 +66,7 @@ class GapFactors:
     """Gives the factors of the gaps between the keyframes of a window.
 
     After a gap few landmarks of the map may be left in view, and in one corner of the image, so
-    that they alone determine the pose badly.
-
-    Args:
-        motion: knows the gaps of the local map.
-        predictor: predicts the motion through the gaps; it gets the motions that windows contain.
+    that they alone determine the pose badly. The predictor gets the motions that windows contain.
     """
 
     def __init__(self, motion: _Gaps, predictor: _Predictor) -> None:

@@ -11,10 +11,9 @@ from vo.engine.backend.window_problem import WindowProblem
 
 
 class Gauge(NamedTuple):
-    """The gauge freedom that is fixed in a window of K poses.
+    """The gauge freedom that is fixed in a window of K poses, of which (K,) are held.
 
     Attributes:
-        held: (K,) poses that are not optimised.
         scaled: pose with a loose prior that keeps the scale of a mono window, or None.
         sigmas: (6,) standard deviations of that prior, in the tangent of the pose.
     """

@@ -22,11 +22,7 @@ def pose_covariances(
 ) -> tuple[Floats, Floats]:
     """Covariances of all poses (m, 7, 7), and of pairs of them (E, 14, 14), each in its own frame.
 
-    Args:
-        graph: factors of m poses, numbered from 0.
-        values: the poses.
-        a: (E,) first poses of the pairs; a factor of the graph connects each pair.
-        b: (E,) second poses.
+    A factor of the graph connects each pair of poses `a` (E,) and `b` (E,).
     """
     linear = graph.linearize(values)
     net = linear.eliminateSequential(gtsam.Ordering.ColamdGaussianFactorGraph(linear))

@@ -30,7 +30,6 @@ class GraphProblem:
         covariance: (n, 6, 6) of the motion since the row before, in this camera's frame, NaN if
             unknown; ignored in the first row of a chain, and where keyframes are rigid.
         is_doubted: (n,) whether that motion may be wrong by far more.
-        loops: between them.
         doubted: ids of markers whose loops are false.
     """
 
@@ -56,14 +55,7 @@ class GraphProblem:
 
 
 class Edges(NamedTuple):
-    """Relations between E pairs of poses.
-
-    Attributes:
-        a: (E,) poses.
-        b: (E,) poses.
-        a_from_b: (E, 4, 4) similarities.
-        covariance: (E, 7, 7) in the frame of b.
-    """
+    """Relations (E, 4, 4) of poses a and b (E,), with covariances (E, 7, 7) in the frame of b."""
 
     a: Ints
     b: Ints

@@ -29,11 +29,7 @@ class Linearised(NamedTuple):
     an observation are u, v and disparity; the last is 0 where disparity was not measured.
 
     Attributes:
-        poses: number of poses K.
         starts: (M + 1,) first observation of each point.
-        keyframe: (N,) pose of each observation.
-        by_pose: (N, 3, 6) derivatives.
-        by_point: (N, 3, 3) derivatives.
         error: (N, 3) predicted - measured.
     """
 

@@ -30,11 +30,9 @@ _MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
 
 
 class Motions(NamedTuple):
-    """Measured motions between poses; rows belong together.
+    """Measured motions between rows of poses; rows belong together.
 
     Attributes:
-        earlier: (L,) rows of the poses to which they are relative.
-        later: (L,) rows of the other poses.
         earlier_from_later: (L, 4, 4).
         covariance: (L, 6, 6) in the frame of the later pose, rotation before translation.
     """
@@ -46,12 +44,7 @@ class Motions(NamedTuple):
 
 
 class AdjustedPath(NamedTuple):
-    """Result for K poses and M points.
-
-    Attributes:
-        world_from_cam: (K, 4, 4), the first one as it was.
-        points: (M, 3).
-    """
+    """Result for K poses (K, 4, 4), the first one as it was, and M points (M, 3)."""
 
     world_from_cam: Floats
     points: Floats
@@ -62,10 +55,7 @@ def adjust_path(
 ) -> AdjustedPath | None:
     """Optimise all poses but the first, and all points; None where nothing can be optimised.
 
-    Args:
-        problem: poses, points and observations; its fixed poses and factors are ignored.
-        motions: beside the observations.
-        config: settings of the observations' weights.
+    The fixed poses and further factors of the problem are ignored.
     """
     count = len(problem.world_from_cam)
     _, depth = residuals(problem, problem.world_from_cam, problem.points)

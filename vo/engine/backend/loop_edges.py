@@ -22,8 +22,6 @@ class LoopEdges:
     """L loops between rows of a graph.
 
     Attributes:
-        earlier: (L,) rows.
-        later: (L,) rows.
         relation: (L, 4, 4) similarities earlier_from_later.
         covariance: (L, 7, 7) in the frame of the later keyframe.
         support: (L,) later keyframes that each rests on.

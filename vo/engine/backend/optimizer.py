@@ -55,13 +55,7 @@ class InProcessOptimizer:
 def make_optimizer(
     config: SmoothingConfig, threads: int, child: Popen[bytes] | None = None
 ) -> WindowOptimizer:
-    """An optimizer in its own process, where there is more than one core.
-
-    Args:
-        config: settings of the window.
-        threads: cores to use.
-        child: the process, if it was started already.
-    """
+    """An optimizer in its own process, where there is more than one core; child may run already."""
     if threads > 1:
         try:
             return OptimizerProcess(config, child)

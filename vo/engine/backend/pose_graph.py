@@ -73,10 +73,6 @@ class PoseGraph:
 
         To be called before any keyframe of the run is added. Worlds of the map keep their numbers,
         and segments of the run are numbered after them.
-
-        Args:
-            placed: where they are in the map.
-            is_metric: (n,) whether lengths are metres.
         """
         for n, key in enumerate(placed.keys):
             self._nodes[key] = _Node(

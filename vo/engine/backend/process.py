@@ -35,7 +35,6 @@ class SolverProcess(Generic[Problem, Solution]):
         solver: function of a module, called there with the problem and the options.
         left_alone: the solution of a problem that cannot be solved, made in this process.
         options: further arguments of the solver.
-        child: the process, if it was started already.
 
     Raises:
         OSError: the process cannot be started.
@@ -115,10 +114,6 @@ class SolverProcess(Generic[Problem, Solution]):
 
 class OptimizerProcess(SolverProcess[WindowProblem, WindowSolution]):
     """Optimises windows in another process.
-
-    Args:
-        config: settings of the window.
-        child: the process, if it was started already.
 
     Raises:
         OSError: the process cannot be started.

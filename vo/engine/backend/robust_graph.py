@@ -23,12 +23,10 @@ _GAUGE_SIGMA = 1e-5  # of the first pose, which stays where it is
 
 
 class OptimisedPoses(NamedTuple):
-    """Least-squares poses of a graph of m poses and E edges of odometry.
+    """Poses (m, 4, 4), covariances of single ones, and (E, 14, 14) of edges of odometry.
 
     Attributes:
-        world_from: (m, 4, 4) similarities.
         single: (m, 7, 7) covariances of the poses, each in its own frame; NaN if they are too many.
-        joint: (E, 14, 14) those of the poses a and b of each edge of odometry together.
     """
 
     world_from: Floats
@@ -39,14 +37,9 @@ class OptimisedPoses(NamedTuple):
 def keep_true_loops(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> Bools:
     """(L,) loops that are inliers; odometry is known to be true.
 
-    The limit of residuals shrinks from the largest one to that of an inlier, and all poses follow.
+    The limit of residuals shrinks from the largest one to that of an inlier, and all poses follow,
+    from `start` (m, 4, 4); those of `gauge`, one of each connected part, stay.
     `gtsam.GncLMOptimizer` does the same, but begins anew from the first guess each time.
-
-    Args:
-        start: (m, 4, 4) first guess of the poses.
-        gauge: poses that stay where they are, one for each connected part.
-        odometry: relations that are true.
-        loops: those that may be false.
 
     Source: Yang et al., "Graduated Non-Convexity for Robust Spatial Perception", RA-L 2020, with
         truncated least squares; equation numbers stand beside the lines.
@@ -91,14 +84,7 @@ def _squared_residuals(values: gtsam.Values, loops: Edges) -> Floats:
 
 
 def optimise(start: Floats, gauge: Ints, odometry: Edges, loops: Edges) -> OptimisedPoses:
-    """Least-squares poses with all relations, and their covariances.
-
-    Args:
-        start: (m, 4, 4) first guess of the poses.
-        gauge: poses that stay where they are, one for each connected part.
-        odometry: relations along chains.
-        loops: other relations.
-    """
+    """Least-squares poses with all relations; arguments as for `keep_true_loops`."""
     graph = _graph(start, gauge, odometry)
     _add(graph, loops)
     params = gtsam.LevenbergMarquardtParams()

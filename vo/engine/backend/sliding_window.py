@@ -35,8 +35,6 @@ class Window:
     """A submitted window, and what the rows of its problem stand for.
 
     Attributes:
-        problem: the problem.
-        keyframes: of each of its poses, the newest last.
         landmarks: (M,) ids of its points.
         calibration_weight: weight of its calibration residual, 0 if it is not estimated.
     """
@@ -52,8 +50,6 @@ class WindowUpdate:
     """A result that was applied to the map.
 
     Attributes:
-        window: the window.
-        moved: the keyframes whose pose has changed.
         calibration_residual: None if it is not determined, or not estimated.
     """
 
@@ -72,15 +68,6 @@ class SlidingWindow:
 
     Attributes:
         submitted: number of windows submitted so far, without those of the whole map.
-        stopwatch: counts stages `window` and `smooth` (waiting for the optimizer).
-
-    Args:
-        local_map: the map.
-        optimizer: optimises the windows.
-        sigma_disparity_px: standard deviation of a disparity.
-        config: settings.
-        stopwatch: measures the stages.
-        factor_sources: give factors beside the observations.
     """
 
     def __init__(
@@ -162,10 +149,8 @@ class SlidingWindow:
         """Write poses and points into the map as it is now; remove what disagrees.
 
         Newer keyframes move with the window's newest, and landmarks outside of the window with the
-        keyframe of their patch; these are then fitted to the new poses.
-
-        Returns:
-            The keyframes whose pose has changed.
+        keyframe of their patch; these are then fitted to the new poses. Returns the keyframes whose
+        pose has changed.
         """
         if not solution.converged:
             return []

@@ -25,15 +25,12 @@ class WindowSolution(NamedTuple):
     """The solution of a `WindowProblem` of K poses and M points.
 
     Attributes:
-        world_from_cam: (K, 4, 4) optimised.
         held: (K,) poses that stayed where they were: the fixed ones, or else the first.
         information: (6 K, 6 K) on all poses, tangent (rx ry rz tx ty tz) in the camera's own
             frame; 0 for poses that it does not determine.
-        points: (M, 3) optimised.
         point_ok: (M,) False for degenerate points.
         calibration_residual: None if it is not determined, or not estimated.
         converged: False if nothing could be optimised; all is then as in the problem.
-        states: further states by key, see `WindowFactor`.
     """
 
     world_from_cam: Floats

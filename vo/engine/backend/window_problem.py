@@ -55,9 +55,7 @@ class WindowProblem:
     """A window of K poses, M points, N observations and further factors.
 
     Attributes:
-        intrinsics: of the rectified camera.
         baseline_m: distance to the right camera, 0 in mono.
-        sigma_disparity_px: standard deviation of a disparity.
         world_from_cam: (K, 4, 4) first guess.
         fixed: (K,) poses that stay where they are.
         points: (M, 3) in the world.
@@ -66,8 +64,6 @@ class WindowProblem:
         xy: (N, 2) ideal pixels.
         disparity: (N,) pixels, NaN without a measurement.
         sigma_px: (N,) standard deviation of xy.
-        estimates_calibration: whether to estimate the residual of the calibration.
-        factors: factors beside the observations.
     """
 
     intrinsics: Intrinsics

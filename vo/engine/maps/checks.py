@@ -18,33 +18,21 @@ _MAX_OCTAVE = 63
 
 
 def number(value: Any) -> int:
-    """A whole number from 0 to `MAX_NUMBER`.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """A whole number from 0 to `MAX_NUMBER`, else a ValueError."""
     if type(value) is not int or not 0 <= value <= MAX_NUMBER:
         raise ValueError(f"{value!r} is no number of a map")
     return value
 
 
 def text(value: Any) -> str:
-    """A text.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """A text, else a ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"{value!r} is no text")
     return value
 
 
 def listed(value: Any) -> list[Any]:
-    """A list.
-
-    Raises:
-        ValueError: it is something else.
-    """
+    """A list, else a ValueError."""
     if not isinstance(value, list):
         raise ValueError(f"{value!r} is no list")
     return value

@@ -22,13 +22,8 @@ class LoadedMap:
 
     Attributes:
         camera: rectified camera of its keyframes.
-        sessions: names of its recordings.
-        placed: where its keyframes are.
         is_metric: (n,) whether lengths of each are metres.
-        loops: between its keyframes.
-        frames: which frame each keyframe is.
         metric_worlds: numbers of the worlds of one camera whose lengths are metres.
-        markers: relative to its keyframes.
     """
 
     camera: Camera
@@ -43,11 +38,6 @@ class LoadedMap:
 
 def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> LoadedMap:
     """Read a map, and store its keyframes.
-
-    Args:
-        path: the file.
-        database: receives the keyframes.
-        is_metric: whether lengths of the run are metres.
 
     Raises:
         SourceError: the file is missing, damaged, or no map.

@@ -88,13 +88,8 @@ def write_map(
 ) -> None:
     """Write a map; an existing file is replaced when the new one is complete and on disk.
 
-    Args:
-        path: the file.
-        header: description of the map.
-        keyframes: keys and bytes (`KeyframeDatabase.encoded`), all of them placed.
-        placed: where keyframes are; those that are not written are left out.
-        loops: those that the pose graph accepts.
-        markers: relative to keyframes that are written.
+    Keyframes are keys and bytes (`KeyframeDatabase.encoded`), all of them placed; those that are
+    placed but not written are left out. Markers are relative to keyframes that are written.
 
     Raises:
         OutputError: the file cannot be written; one that was there is as before.
@@ -150,16 +145,6 @@ def _write_part(file: BinaryIO, data: bytes) -> list[int]:
 
 class MapFile:
     """A map that is open for reading; keyframes are read on request.
-
-    Attributes:
-        path: the file.
-        header: its description.
-        placed: where its keyframes are, in the order of the file.
-        loops: between its keyframes.
-        markers: relative to its keyframes.
-
-    Args:
-        path: the file.
 
     Raises:
         SourceError: it is missing, something else, damaged, or of a newer version.

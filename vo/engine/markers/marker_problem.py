@@ -36,16 +36,11 @@ class MarkerView(NamedTuple):
     """A marker in one frame.
 
     Attributes:
-        frame_index: number of the frame.
-        stamp_ns: its time.
-        id: of the marker.
         rays: (4, 2) normalised image points of its corners.
         sigma: (2,) standard deviations of them.
         solutions: one or two poses (4, 4), cam_from_marker in metres.
         camera_from_cam0: (4, 4) rotation from the recorded camera to that of the rays.
-        length_m: side of the marker.
         is_ambiguous: whether the corners hardly tell which of two solutions is the right one.
-        dictionary: that the marker was found in.
     """
 
     frame_index: int
@@ -75,7 +70,6 @@ class LinearProblem(NamedTuple):
         cost: Huber's, in standard deviations squared.
         jacobian: (8 N, 6 M + 1), weighted as the residuals are; one more row where units are known.
         residual: (8 N,), or one more.
-        distance: (N, 4) of the corners, in standard deviations.
         by_camera: (N, 8, 6) derivatives by the poses of the cameras.
     """
 
@@ -92,15 +86,8 @@ Solution = tuple[MarkerState, LinearProblem]
 class MarkerProblem:
     """Markers and the unit of a path as the unknowns of a least-squares fit.
 
-    Attributes:
-        views: of the markers.
-        ids: M of the markers.
-        marker: (N,) index of the marker of each view.
-
     Args:
-        views: of the markers, in time order.
         poses: (N, 4, 4) world_from_cam0 of each, in units of the map.
-        ids: of the markers.
         unit_sigma: relative standard deviation of the length of a marker in units of the map, which
             are then metres; None where the unit is unknown.
     """

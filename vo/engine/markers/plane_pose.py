@@ -23,17 +23,10 @@ def square_points(length_m: float) -> Floats:
 
 
 def plane_pose(camera: Camera, points: Floats, pixels: Floats, sigma_px: float) -> PlanePose | None:
-    """The pose of points of a plane, the better of the two that are possible.
+    """The pose of points of a plane, the better of the two that are possible; None where none fits.
 
-    Args:
-        camera: that has seen them.
-        points: (N, 3) in the plane z = 0, at least four; four around the origin must be those of
-            `square_points`.
-        pixels: (N, 2) of the recorded image.
-        sigma_px: standard deviation of u and of v.
-
-    Returns:
-        None where no pose in front of the camera fits.
+    Points (N, 3) are in the plane z = 0, at least four; four around the origin must be those of
+    `square_points`. Pixels (N, 2) are of the recorded image.
 
     Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation", 2014, for both first
         guesses.

@@ -14,7 +14,6 @@ class DetectedMarker:
     """A marker in an image.
 
     Attributes:
-        id: its number in the dictionary.
         corners: (4, 2) pixels of the recorded image: those that are top left, top right, bottom
             right and bottom left on the upright marker.
         sigma_px: standard deviation of each coordinate of a corner.
@@ -97,7 +96,6 @@ class FrameMarkers:
     Attributes:
         frame_index: its number in the recording, 0 for an image.
         stamp_ns: its time, 0 for an image.
-        markers: by increasing id.
         board: pose of the board that they belong to, None without one.
     """
 

@@ -37,15 +37,10 @@ class VisitPose(NamedTuple):
 def fit_visit(
     views: Sequence[MarkerView], world_from_cam0: Floats, *, is_metric: bool
 ) -> VisitPose | None:
-    """The pose of a marker in the first of several cameras that see it.
+    """The pose of a marker in the first of several cameras that see it, in time order.
 
-    Args:
-        views: of one marker, in time order, none of which is ambiguous.
-        world_from_cam0: (N, 4, 4) pose of each, in the unit of the path.
-        is_metric: whether this unit is the metre.
-
-    Returns:
-        None where the pose, or in a path of one camera its scale, is too uncertain.
+    None where it, or in a path of one camera its scale, is too uncertain. No view is ambiguous;
+    `world_from_cam0` (N, 4, 4) is in the unit of the path.
     """
     sigma = _UNIT_SIGMA if is_metric else None
     problem = MarkerProblem(views, world_from_cam0, [views[0].id], sigma)

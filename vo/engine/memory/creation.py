@@ -41,15 +41,6 @@ def make_memory(
 ) -> Memory:
     """The memory of a run.
 
-    Args:
-        rig: the rectified cameras.
-        descriptors: layout of the descriptors.
-        config: all settings.
-        trajectory: follows the keyframes that are placed.
-        stopwatch: measures the stages.
-        threads: cores to use.
-        inertial: gives metric poses of a single camera, None without a sensor.
-
     Raises:
         ConfigError: places cannot be recognised by these descriptors.
         InputError: the vocabulary or the map cannot be read.

@@ -19,10 +19,6 @@ class EarlySearch:
     Such a segment begins with a map of its own, after tracking was lost or at the start of a run
     in a loaded map. Its keyframes would otherwise be searched ten keyframes later, when they are
     stored. The evidence for a loop is the same.
-
-    Args:
-        maker: makes places.
-        recogniser: searches them.
     """
 
     def __init__(self, maker: PlaceMaker, recogniser: Recogniser) -> None:
@@ -33,12 +29,7 @@ class EarlySearch:
         self._newest = -1  # id of the newest keyframe that was searched
 
     def submit(self, frame: int, local_map: LocalMap) -> None:
-        """Search for the newest keyframe, unless it was searched or another search is going on.
-
-        Args:
-            frame: number of frames so far.
-            local_map: with the keyframe.
-        """
+        """Search for the newest keyframe, unless it was searched or another search is going on."""
         keyframes = local_map.keyframes
         if self._future is not None or not keyframes or keyframes[-1].id <= self._newest:
             return

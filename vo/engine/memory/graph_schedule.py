@@ -13,13 +13,7 @@ _SPACING_RATIO = 0.05  # of all keyframes, if that is more: large graphs take lo
 
 
 class GraphSchedule:
-    """Counts keyframes and frames, and tells when the next graph, or its result, is due.
-
-    Attributes:
-        keyframes: number of keyframes so far.
-        frames: number of frames so far.
-        is_pending: whether a graph is being optimised.
-    """
+    """Counts keyframes and frames, and tells when the next graph, or its result, is due."""
 
     def __init__(self) -> None:
         self.keyframes = self.frames = 0

@@ -34,8 +34,6 @@ class _Observations(NamedTuple):
     """What a keyframe observes; rows belong together.
 
     Attributes:
-        frame_index: of the keyframe.
-        landmark: (n,) ids.
         xyz: (n, 3) landmarks in the frame of the keyframe.
         xy: (n, 2) ideal pixels.
         sigma_px: (n,) standard deviation of xy.
@@ -49,12 +47,7 @@ class _Observations(NamedTuple):
 
 
 class LoopBundle:
-    """Keeps the observations of stored keyframes, and adjusts worlds with loops by them.
-
-    Args:
-        intrinsics: of the rectified camera.
-        config: settings of the window.
-    """
+    """Keeps the observations of stored keyframes, and adjusts worlds with loops by them."""
 
     def __init__(self, intrinsics: Intrinsics, config: SmoothingConfig) -> None:
         self._intrinsics = intrinsics

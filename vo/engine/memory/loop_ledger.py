@@ -24,8 +24,6 @@ class LoopRecord:
     """A loop, and what has become of it.
 
     Attributes:
-        loop: as it was verified.
-        later: frame of its later keyframe.
         earlier: frame of its earlier keyframe, of the run or of the loaded map.
         session: number of the session of the loaded map; None for the run itself.
         is_judged: whether a result of the pose graph had it.
@@ -59,10 +57,6 @@ class LoopLedger:
     Attributes:
         frames: of the keyframes of the run that are in the graph.
         records: of all loops, in the order in which they were found.
-
-    Args:
-        store: of the path, which knows the world of each segment.
-        in_map: where the run is in the loaded map.
     """
 
     def __init__(self, store: TrajectoryStore, in_map: RunInMap) -> None:

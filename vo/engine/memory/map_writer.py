@@ -39,16 +39,9 @@ def write_run(
     loops: Sequence[Loop],
     markers: Iterable[MarkerVisit],
 ) -> None:
-    """Write all stored keyframes that are placed, after all searches.
+    """Write all stored keyframes that are placed, and those of the loaded map, after all searches.
 
-    Args:
-        path: the file.
-        source: name of the recording.
-        recogniser: has the keyframes, those of the loaded map included.
-        placed: where they are.
-        metric_worlds: numbers of the worlds of one camera in metres, without those of the map.
-        loops: of the run.
-        markers: relative to keyframes of both.
+    `metric_worlds` and `loops` are those of the run, `markers` of both.
 
     Raises:
         OutputError: the file cannot be written, or the loaded map is of another camera.
@@ -79,10 +72,7 @@ def in_metres(
 ) -> tuple[PlacedKeyframes, set[int]]:
     """Keyframes of one camera, converted where there is a scale; the worlds in metres then.
 
-    Args:
-        placed: all of them.
-        segments: numbers of segments, by rows of keyframes of the run.
-        metric: which segments are in metres, and their scales.
+    `segments` are those of keyframes of the run, by row.
     """
     scales = {row: metric.scale(segment) for row, segment in segments.items()}
     factors = {row: scale.value for row, scale in scales.items() if scale is not None}

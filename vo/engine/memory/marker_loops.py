@@ -34,11 +34,9 @@ class _Sight(NamedTuple):
 
 
 class _Visit(NamedTuple):
-    """A marker in consecutive keyframes of a segment.
+    """A marker in consecutive keyframes of a segment; pose and frame are those of the first.
 
     Attributes:
-        marker: where it is relative to the first of them.
-        frame: the first of them.
         last_index: number of the last frame, None for a visit of the loaded map.
     """
 
@@ -60,11 +58,6 @@ class MarkerLoops:
     relation of their first keyframes. In a path of one camera a visit must show
     its scale as well: then the marker is a frame in metres for both. Visits of a loaded map are
     earlier ones.
-
-    Args:
-        cam0_from_rectified: (4, 4) rotation of the rectified camera.
-        loaded: markers of the loaded map, and the frames of the keyframes they are relative to.
-        is_metric: whether the path is in metres.
     """
 
     def __init__(
@@ -146,13 +139,7 @@ class MarkerLoops:
         return ends
 
     def see(self, frame_index: int, views: Sequence[MarkerView], repeated: Sequence[int]) -> None:
-        """Take what a frame shows; it is used if the frame is a keyframe.
-
-        Args:
-            frame_index: number of the frame.
-            views: of markers whose id it shows once.
-            repeated: ids that it shows several times.
-        """
+        """Take the markers that a frame shows once, and repeated ids; used if it is a keyframe."""
         self._repeated.update(repeated)
         clear = tuple(view for view in views if not view.is_ambiguous)
         if clear:

@@ -39,20 +39,9 @@ class Memory:
     are made, and results are applied a fixed number of frames later.
 
     Attributes:
-        stopwatch: measures the stage `memory`.
         markers: connects keyframes that see the same marker.
         loops: that were found, and what became of them.
         in_map: where the run is in the loaded map.
-
-    Args:
-        maker: makes places.
-        recogniser: stores and recognises them.
-        graph: places them in the map frame.
-        trajectory: follows.
-        stopwatch: measures the stages.
-        in_map: where the run is in the loaded map.
-        inertial: gives the graph metric poses of a single camera, None without a sensor.
-        bundle: adjusts worlds with loops at the end, or None.
     """
 
     def __init__(
@@ -177,10 +166,6 @@ class Memory:
 
     def save_map(self, path: Path, source: str) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
-
-        Args:
-            path: the file.
-            source: name of the recording.
 
         Raises:
             OutputError: the file cannot be written, or the loaded map is of another camera.

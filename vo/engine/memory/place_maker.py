@@ -24,14 +24,7 @@ _FIRST = 10  # keyframes of a segment, or after a doubted motion, that all make 
 class PlaceMaker:
     """Makes places of consecutive keyframes.
 
-    Attributes:
-        session: number of the session.
-        is_metric: whether lengths are metres.
-
     Args:
-        session: number of the session.
-        scale_factor: size ratio of two pyramid levels.
-        is_metric: whether lengths are metres.
         describer: of keyframes with other features (`vo.engine.tracking.rescue`): places have one
             kind. None where there are no others.
     """
@@ -131,13 +124,9 @@ class PlaceMaker:
     def _of_one_kind(
         self, keyframe: Keyframe, landmarks: StoredLandmarks, image: Bytes, order: Ints
     ) -> tuple[Keypoints, StoredLandmarks]:
-        """Features of a keyframe and its landmarks, described anew if they are of another kind.
+        """Features and n landmarks of a keyframe, described anew if they are of another kind.
 
-        Args:
-            keyframe: the keyframe.
-            landmarks: n that it observes.
-            image: its image.
-            order: (n,) rows of its observations of them.
+        `order` (n,) are the rows of its observations of the landmarks.
         """
         descriptor = keyframe.keypoints.descriptor
         is_own = descriptor.shape[1] == DESCRIPTOR_BYTES and descriptor.dtype == np.uint8

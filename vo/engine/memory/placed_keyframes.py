@@ -38,13 +38,7 @@ def with_adjusted(placed: PlacedKeyframes, adjusted: Sequence[PlacedKeyframes]) 
 
 
 def scaled_worlds(placed: PlacedKeyframes, factor_of: Mapping[int, float]) -> PlacedKeyframes:
-    """Placed keyframes with some worlds in another unit.
-
-    Args:
-        placed: all of them.
-        factor_of: length in the new unit of one of the old unit, by rows of keyframes; it holds for
-            all keyframes of the same world.
-    """
+    """Placed keyframes, the worlds of some rows multiplied by a factor."""
     factor = np.ones(len(placed.keys))
     for row, value in factor_of.items():
         factor[placed.world == placed.world[row]] = value

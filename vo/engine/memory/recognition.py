@@ -37,9 +37,7 @@ class Recognised:
     """Result of the search for the place of a keyframe.
 
     Attributes:
-        place: the keyframe.
         removed: keyframes that became redundant.
-        loops: to earlier keyframes.
         is_familiar: whether there were candidates that pass the screening.
     """
 
@@ -55,17 +53,9 @@ class Recogniser:
     All work on the database is done in one thread, in the order of the calls, so that no result
     depends on the time at which it is requested.
 
-    Attributes:
-        database: of stored keyframes.
-        camera: ideal (rectified) camera of the keyframes.
-        loaded: map whose keyframes are in the database, or None.
-
     Args:
-        database: see above.
         judges: makes what chooses the candidates that are verified, and what decides on them.
-        camera: see above.
         threads: with one, all work is done at once.
-        loaded: see above.
         localizes: whether only the loaded map is searched, and keyframes are not stored.
     """
 
@@ -100,11 +90,7 @@ class Recogniser:
         return self._start(lambda: self._result(place, search))
 
     def search(self, places: Sequence[Place]) -> Future[Recognised]:
-        """Search for the place of a keyframe that is not stored yet.
-
-        Args:
-            places: the keyframe, then those before it in its segment, newest first.
-        """
+        """Search for the place of the first of some keyframes, newest first, not stored yet."""
         return self._start(lambda: self._result(places[0], partial(self._find, places)))
 
     def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:

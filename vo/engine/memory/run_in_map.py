@@ -24,11 +24,6 @@ class RunInMap:
 
     Attributes:
         met: numbers of the worlds of the run that are in the map.
-
-    Args:
-        file: of the map.
-        loaded: the map, None without one.
-        metric: is told which worlds are in metres by the map.
     """
 
     def __init__(self, file: str, loaded: LoadedMap | None, metric: MetricSegments) -> None:
@@ -62,12 +57,7 @@ class RunInMap:
         return self._loaded is not None or segment > 0
 
     def numbered(self, placed: PlacedKeyframes, frames: dict[PlaceKey, FrameId]) -> PlacedKeyframes:
-        """Placed keyframes with the run's numbers of worlds; notes which of them are in the map.
-
-        Args:
-            placed: keyframes of the connected worlds.
-            frames: those of the keyframes of the run.
-        """
+        """Placed keyframes with the run's numbers of worlds; notes which of them are in the map."""
         if self._loaded is None:
             return placed
         last = int(self._loaded.placed.world.max(initial=-1))

@@ -22,11 +22,7 @@ _MANY_LOOPS = 80  # at places of which no more keyframes are needed
 
 
 class SearchPauses:
-    """Chooses the keyframes that are searched, and those that are not kept.
-
-    Args:
-        database: of stored keyframes.
-    """
+    """Chooses the keyframes that are searched, and those that are not kept."""
 
     def __init__(self, database: KeyframeDatabase) -> None:
         self._database = database
@@ -58,12 +54,7 @@ class SearchPauses:
         return since_ns < _PAUSE_NS
 
     def note(self, place: Place, loops: Sequence[Loop]) -> tuple[PlaceKey, ...]:
-        """Note the loops of a keyframe; returns stored ones that are not needed, and removes them.
-
-        Args:
-            place: the keyframe, which was searched.
-            loops: what was found, the best one first.
-        """
+        """Note the loops of a keyframe, the best first; removes and returns needless keyframes."""
         spare, self._spare = self._spare, []
         self._in_a_row = self._in_a_row + 1 if loops else 0
         self._last_ns = place.frame.stamp_ns

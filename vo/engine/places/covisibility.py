@@ -21,12 +21,7 @@ _NONE = -1
 
 
 class Shared(NamedTuple):
-    """Keyframes that share landmarks with one; rows belong together.
-
-    Attributes:
-        number: (n,) increasing numbers of the keyframes.
-        landmarks: (n,) how many landmarks each shares.
-    """
+    """Increasing numbers (n,) of keyframes, and how many landmarks (n,) they share."""
 
     number: Ints
     landmarks: Ints
@@ -86,11 +81,7 @@ class Covisibility:
         return Shared(numbers, counts[numbers].astype(np.int64))
 
     def shared_with_any(self, numbers: Ints) -> Ints:
-        """Increasing numbers of the keyframes with a landmark of one of several, these included.
-
-        Args:
-            numbers: of keyframes of one session.
-        """
+        """Keyframes with a landmark of one of several of one session, these included."""
         found = np.zeros(len(self._ids), np.bool_)
         if len(numbers):
             session, self._visits = self._session[numbers[0]], (self._visits + 1) % _MAX_ID
@@ -100,12 +91,7 @@ class Covisibility:
         return np.flatnonzero(found)
 
     def seen_ratios(self, numbers: Ints, observers: int) -> Floats:
-        """(n,) ratio of the landmarks of n keyframes that so many other keyframes observe.
-
-        Args:
-            numbers: of keyframes of one session, with landmarks.
-            observers: how many.
-        """
+        """(n,) ratio of landmarks of n keyframes of a session that so many others observe."""
         if not len(numbers):
             return np.empty(0)
         ids = [self._ids[number] for number in numbers.tolist()]

@@ -39,7 +39,6 @@ class KeyframeDatabase:
     """Stored keyframes.
 
     Args:
-        vocabulary: words by which they are found.
         memory_bytes: size of the keyframes in memory; the others are in a temporary file.
         folder: of that file; None for the system's folder of temporary files.
     """
@@ -91,10 +90,7 @@ class KeyframeDatabase:
     def add(self, place: Place, *, removes_redundant: bool = True) -> tuple[PlaceKey, ...]:
         """Store a keyframe; returns the keys of those removed because they became redundant.
 
-        Args:
-            place: the keyframe.
-            removes_redundant: whether keyframes that become redundant are removed; false for those
-                of a loaded map, of which all are needed.
+        None is removed while a map is loaded, of which all are needed.
 
         Raises:
             OutputError: the temporary file cannot be written, such as on a full disk. The keyframe

@@ -31,12 +31,7 @@ _CONTROLS = 2  # keyframes of its own visit in which a landmark must look the sa
 
 
 class ComparedWindows(NamedTuple):
-    """Windows around landmarks of both keyframes.
-
-    Attributes:
-        compared: how many.
-        different: how many of them look different in the other image.
-    """
+    """How many windows around landmarks of both keyframes were compared, and how many differ."""
 
     compared: int
     different: int
@@ -80,13 +75,8 @@ def compare_images(
     """Windows of both keyframes that should look the same, and those that do not.
 
     Only landmarks that look the same in another keyframe of their own visit are compared: others
-    are at edges of depth, or in the wrong position.
-
-    Args:
-        pair: the keyframes.
-        earlier: the earlier keyframe, then others of its visit.
-        later: the same for the later one.
-        relation: (4, 4) similarity earlier_from_later.
+    are at edges of depth, or in the wrong position. `earlier` and `later` begin with the keyframe,
+    others of its visit follow; `relation` is earlier_from_later.
     """
     first, second = pair.cameras
     forward = _correlations(

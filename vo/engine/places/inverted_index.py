@@ -45,11 +45,7 @@ class _Block:
 
 
 class InvertedIndex:
-    """Scores of one bag against all that were added.
-
-    Args:
-        words: number of words of the vocabulary.
-    """
+    """Scores of one bag against all that were added."""
 
     def __init__(self, words: int) -> None:
         self._words = words

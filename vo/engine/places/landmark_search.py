@@ -30,11 +30,9 @@ _SIGMA_FACTOR = 2.0
 
 @dataclass(frozen=True, eq=False)
 class KeyframePair:
-    """Two keyframes that are compared.
+    """Landmarks of two compared keyframes, of the earlier one with those of its neighbours.
 
     Attributes:
-        earlier: landmarks of the earlier keyframe, then those of its neighbours.
-        later: landmarks of the later keyframe.
         cameras: ideal (rectified) cameras of the earlier and the later keyframe.
         with_scale: whether their scales may differ, as one of them is not metric.
     """
@@ -64,14 +62,7 @@ def keyframe_pair(
 
 
 class FoundLandmarks(NamedTuple):
-    """Landmarks of the earlier keyframe that were found in the later one; rows belong together.
-
-    Attributes:
-        earlier: (n,) rows of the earlier landmarks.
-        later: (n,) rows of the later ones.
-        pairs: the n pairs.
-        correlation: (n,) of their patches.
-    """
+    """Earlier landmarks (n,) found in the later keyframe, and correlation of patches."""
 
     earlier: Ints
     later: Ints
@@ -89,12 +80,7 @@ class FoundLandmarks(NamedTuple):
 
 
 class LandmarkSearch:
-    """Searches by descriptors, and compares patches.
-
-    Args:
-        scale_factor: size ratio of two pyramid levels.
-        sigma_px: standard deviation of an observation, pixels.
-    """
+    """Searches by descriptors, and compares patches."""
 
     def __init__(self, scale_factor: float, sigma_px: float = 0.5) -> None:
         self._scale_factor = scale_factor
@@ -108,13 +94,7 @@ class LandmarkSearch:
         return self._pairs(pair, matches.query, matches.train)
 
     def by_node(self, pair: KeyframePair, earlier: Ints, later: Ints) -> LandmarkPairs:
-        """Landmarks matched within the same node of the vocabulary, without a relation.
-
-        Args:
-            pair: the keyframes.
-            earlier: (M,) nodes of the earlier landmarks.
-            later: (N,) nodes of the later ones.
-        """
+        """Landmarks matched within nodes (M,) and (N,) of the vocabulary, without a relation."""
         matched, _ = best_in_groups(
             as_words(pair.earlier.descriptor),
             earlier,

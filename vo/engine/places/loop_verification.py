@@ -44,13 +44,7 @@ _COVARIANCE_SCALE = 14.0  # as in windows, see docs/accuracy.md
 
 
 class LoopVerifier:
-    """Decides whether two places are the same by their landmarks (docs/memory.md).
-
-    Args:
-        scale_factor: size ratio of two pyramid levels.
-        sigma_px: standard deviation of an observation, pixels.
-        seed: of the random samples.
-    """
+    """Decides whether two places are the same by their landmarks (docs/memory.md)."""
 
     def __init__(
         self,

@@ -27,10 +27,6 @@ class MergedLandmarks:
         xyz: (M, 3) in its frame.
         xy: (M, 2) pixels in the keyframe that each was taken from.
         sigma: (M,) standard deviation of the depth, relative to it.
-        descriptor: (M, width).
-        octave: (M,).
-        angle: (M,) radians.
-        patch: (M, PATCH_PX, PATCH_PX).
     """
 
     own: int
@@ -76,13 +72,7 @@ def merge_landmarks(places: Sequence[Place]) -> MergedLandmarks:
 
 
 class LandmarksInView(NamedTuple):
-    """Landmarks that another keyframe should see.
-
-    Attributes:
-        rows: (n,) of the merged landmarks.
-        xy: (n, 2) pixels there.
-        size: (n,) their sizes there relative to those here.
-    """
+    """Rows (n,) of landmarks that another keyframe should see, pixels, relative sizes."""
 
     rows: Ints
     xy: Floats
@@ -92,14 +82,7 @@ class LandmarksInView(NamedTuple):
 def in_view(
     there_from_here: Floats, landmarks: MergedLandmarks, here: Camera, there: Camera
 ) -> LandmarksInView:
-    """Landmarks that the camera `there` should see.
-
-    Args:
-        there_from_here: (4, 4) similarity.
-        landmarks: of a keyframe here.
-        here: its camera.
-        there: the other camera.
-    """
+    """Landmarks that the camera `there` should see; there_from_here is a similarity."""
     moved = landmarks.xyz @ there_from_here[:3, :3].T + there_from_here[:3, 3]
     unit = float(sim3.scale_of(there_from_here))
     depth = np.maximum(moved[:, 2], 1e-9)

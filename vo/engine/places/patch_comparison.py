@@ -14,10 +14,7 @@ _SHIFTS = (-1, 0, 1)  # a corner is detected to about a pixel of its level
 def patch_correlation(earlier: Bytes, later: Bytes, earlier_from_later: Floats) -> Floats:
     """(N,) largest zero-mean normalised cross-correlation of patches over shifts of a pixel.
 
-    Args:
-        earlier: (N, PATCH_PX, PATCH_PX).
-        later: (N, PATCH_PX, PATCH_PX).
-        earlier_from_later: (N, 2, 2) how steps in the later patch map to the earlier one.
+    Steps in the later patch map to the earlier one by `earlier_from_later` (N, 2, 2).
     """
     if len(earlier) == 0:
         return np.empty(0)

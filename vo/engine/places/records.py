@@ -64,8 +64,6 @@ class PathKeyframe:
     """A keyframe of the path, when it is removed from the local map.
 
     Attributes:
-        key: its identity.
-        frame: which frame it is.
         is_metric: whether lengths are metres (stereo, depth); otherwise units of the segment.
         odom_from_cam: (4, 4) in the odometry frame of its segment.
         covariance: (6, 6) of the motion since the keyframe before it in the segment,
@@ -87,7 +85,6 @@ class Place(PathKeyframe):
 
     Attributes:
         descriptor: (N, width) of all its features, for place recognition.
-        landmarks: those that it observes.
         thumbnail: (h, w) uint8, the image at a height of at most 120 pixels, to compare places.
     """
 
@@ -115,8 +112,6 @@ class MarkerVisit(NamedTuple):
 
     Attributes:
         key: of the first keyframe of the visit, or of one near it.
-        id: of the marker.
-        dictionary: of the marker.
         length_m: side of its black square.
         cam_from_marker: (4, 4) similarity from metres in the frame of the marker to the frame of
             the keyframe, in the unit of its segment; rigid if that is metric.
@@ -138,7 +133,6 @@ class Candidate(NamedTuple):
     """A stored keyframe that may show the place of a query.
 
     Attributes:
-        key: of the stored keyframe.
         score: similarity of the bags of words, relative to that of consecutive keyframes.
     """
 
@@ -181,7 +175,6 @@ class PlacedKeyframes:
     """Where the pose graph places keyframes; rows belong together.
 
     Attributes:
-        keys: of the keyframes, in order.
         world: (n,) number of the connected world that each belongs to: that of its first segment.
         world_from_cam: (n, 4, 4), in the unit of the world's first segment.
         scale: (n,) length in that unit of one unit of the keyframe's own segment.

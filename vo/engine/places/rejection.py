@@ -28,13 +28,7 @@ class RejectionReason(Enum):
 
 
 class Rejection(NamedTuple):
-    """Why a loop is not accepted.
-
-    Attributes:
-        reason: the first test that failed.
-        value: the number found.
-        needed: the number that it is compared with.
-    """
+    """The first test that failed, the number found, and the number that it is compared with."""
 
     reason: RejectionReason
     value: float

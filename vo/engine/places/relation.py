@@ -21,16 +21,11 @@ _DEPTH_SIGMA = 0.05  # of the scale by the depths in both keyframes
 
 
 class LandmarkPairs(NamedTuple):
-    """N landmarks of an earlier keyframe and the same ones of a later keyframe.
+    """N landmarks of two keyframes, in the frames (N, 3) and images (N, 2) of both.
 
     Attributes:
         earlier: (N, 3) in the frame of the earlier keyframe.
-        later: (N, 3) in the frame of the later one.
-        earlier_xy: (N, 2) pixels in the earlier image.
-        later_xy: (N, 2) pixels in the later image.
         earlier_sigma: (N,) standard deviations of the depths of `earlier`, relative.
-        later_sigma: (N,) those of `later`.
-        sigma_px: (N,) standard deviations of the pixels.
     """
 
     earlier: Floats
@@ -47,12 +42,7 @@ class LandmarkPairs(NamedTuple):
 
 
 class Relation(NamedTuple):
-    """Relation of two keyframes.
-
-    Attributes:
-        earlier_from_later: (4, 4) similarity.
-        information: (7, 7) of the tangent in the frame of the later keyframe.
-    """
+    """Similarity earlier_from_later, and information (7, 7) in the frame of the later keyframe."""
 
     earlier_from_later: Floats
     information: Floats
@@ -67,18 +57,9 @@ def sample_relation(
     seed: int,
     samples: int = 500,
 ) -> tuple[Floats, Bools]:
-    """The relation, of random triples of pairs, that most pairs agree with in both images.
+    """The relation, of random triples of pairs, that most pairs agree with; those pairs (N,).
 
-    Args:
-        pairs: the pairs, some of which are wrong.
-        cameras: of the earlier and the later keyframe.
-        width: of the later image, of which 1 % is the maximum error, but at least 4 pixels.
-        with_scale: whether the scales may differ.
-        seed: of the samples.
-        samples: number of triples.
-
-    Returns:
-        earlier_from_later (4, 4), and the pairs (N,) that agree.
+    They agree in both images, to 1 % of the width of the later one, but at least 4 pixels.
     """
     count = len(pairs.earlier)
     threshold_px = max(_SAMPLE_RATIO * width, _MIN_SAMPLE_PX)
@@ -193,12 +174,6 @@ def refine_relation(
     The uncertainty of each landmark's depth is part of its error. Two keyframes at one point have
     the same image at any scale, so the ratio of depths is a weak observation of it. A relation
     whose scale diverges has no information.
-
-    Args:
-        start: (4, 4) first guess of earlier_from_later.
-        pairs: pairs that mostly agree with it.
-        cameras: of the earlier and the later keyframe.
-        with_scale: whether the scales may differ.
     """
     relation, size = start.copy(), 7 if with_scale else 6
     for _ in range(_ITERATIONS):
@@ -271,13 +246,8 @@ class _Moved(NamedTuple):
     """Points that are moved to the other camera, and where it observes them.
 
     Attributes:
-        transform: (4, 4) of the points.
-        points: (N, 3).
         tangent_at: (N, 3) where the tangent acts, in the later frame.
         xy: (N, 2) observed pixels.
-        sigma: (N,) of the depths of the points, relative.
-        sigma_px: (N,) of the pixels.
-        camera: of the image.
         by_motion: (3, 3) derivative of a moved point by a motion in the later frame.
     """
 

@@ -34,11 +34,6 @@ def unconfirmed_repairs(
 
     Where images confirm odometry, only these are returned: a motion that is free without need takes
     a part of the correction of others.
-
-    Args:
-        database: the stored keyframes.
-        camera: their ideal (rectified) camera.
-        placed: where the pose graph places them.
     """
     keys = [key for key in placed.keys if key in database or key in placed.wrong]
     poses = sim3.similarity(placed.world_from_cam, placed.scale)
@@ -98,14 +93,7 @@ def _compared(
     camera: Camera,
     world_from: Mapping[PlaceKey, Floats],
 ) -> tuple[_Windows, _Windows]:
-    """Windows by the poses of the graph and by odometry, of all pairs of the nearest keyframes.
-
-    Args:
-        before: keyframes before the motion, newest first.
-        after: those after it, oldest first.
-        camera: their ideal camera.
-        world_from: similarities (4, 4) of the graph.
-    """
+    """Windows by the graph and by odometry, of all pairs of the nearest keyframes."""
     by_loops, by_odometry = np.zeros(2, np.int64), np.zeros(2, np.int64)
     for a, b in product(range(len(before[:_BESIDE])), range(len(after[:_BESIDE]))):
         earlier, later = before[a:], after[b:]

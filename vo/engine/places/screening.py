@@ -21,11 +21,6 @@ class Screening:
     Landmarks are compared only with those in the same node of the vocabulary.
 
     Source: Gálvez-López and Tardós, "Bags of binary words", 2012, sec. V-C (direct index).
-
-    Args:
-        vocabulary: that chose the candidates.
-        scale_factor: size ratio of two pyramid levels.
-        seed: of the random samples.
     """
 
     def __init__(self, vocabulary: Vocabulary, scale_factor: float, *, seed: int = 0) -> None:
@@ -36,14 +31,7 @@ class Screening:
     def passes(
         self, later: Place, earlier: Place, camera: Camera, earlier_camera: Camera | None = None
     ) -> bool:
-        """Whether some landmarks of two keyframes agree with one relation of them.
-
-        Args:
-            later: keyframe that may be at an earlier place.
-            earlier: keyframe that may show the same place.
-            camera: ideal (rectified) camera of the later keyframe.
-            earlier_camera: that of the earlier one, if it is another one.
-        """
+        """Whether some landmarks of two keyframes agree with one relation of them."""
         pair = keyframe_pair(later, [earlier], camera, earlier_camera)
         nodes = (
             self._vocabulary.nodes_of(p.descriptor, _DEPTH) for p in (pair.earlier, pair.later)

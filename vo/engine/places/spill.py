@@ -16,12 +16,7 @@ from vo.base.errors import OutputError
 
 
 class SpilledBlocks:
-    """Blocks by number.
-
-    Args:
-        memory_bytes: total size of the blocks in memory; later ones go to the file.
-        folder: where the file is; None for the system's folder of temporary files.
-    """
+    """Blocks by number, the first `memory_bytes` of them in memory."""
 
     def __init__(self, memory_bytes: int, folder: Path | None = None) -> None:
         self._budget = memory_bytes

@@ -34,12 +34,7 @@ Packed = NDArray[np.uint64]
 
 
 class Bag(NamedTuple):
-    """Words of an image; rows belong together.
-
-    Attributes:
-        word: (n,) int32, increasing.
-        weight: (n,) float32, positive, with the sum 1.
-    """
+    """Words (n,) of an image, increasing, and their weights (n,), positive with the sum 1."""
 
     word: Words
     weight: Floats32
@@ -52,7 +47,6 @@ class Vocabulary:
     Attributes:
         descriptor: (n, 32) uint8, of each node.
         children: (n + 1,) int64 number of children of the root and of each node; 0 at a word.
-        images: number of images that it was trained on.
         images_with: (w,) int64 in how many of them each word was found, by word.
     """
 
@@ -135,13 +129,7 @@ def packed(descriptor: Descriptors) -> Packed:
 def train(
     images: Sequence[Bytes], seed: int = 0, branches: int = BRANCHES, depth: int = DEPTH
 ) -> Vocabulary:
-    """Make a vocabulary of the descriptors of many images.
-
-    Args:
-        images: (N, 32) uint8 descriptors of each image.
-        seed: of the choice of the first centres.
-        branches: children of a node.
-        depth: levels below the root.
+    """Make a vocabulary of the (N, 32) uint8 descriptors of many images.
 
     Raises:
         InputError: there are fewer descriptors than children of a node.

@@ -27,14 +27,6 @@ class TrajectoryBuilder:
 
     The world frame of the result is cam0 at its first pose: the odometry frame, until the pose
     graph has placed keyframes of the segment in the map frame.
-
-    Attributes:
-        store: the trajectory so far.
-        cam0_from_rectified: (4, 4).
-
-    Args:
-        cam0_from_rectified: (4, 4).
-        is_metric: whether the cameras measure metres.
     """
 
     def __init__(self, cam0_from_rectified: Floats, *, is_metric: bool = False) -> None:
@@ -101,13 +93,7 @@ class TrajectoryBuilder:
     def predicted(
         self, prior: PosePrior | None, segment: int, anchor: Anchor | None
     ) -> PredictedPose | None:
-        """The pose of a lost frame in the map frame; None without a prediction.
-
-        Args:
-            prior: in the odometry frame of the segment.
-            segment: number of the segment.
-            anchor: as of `map_from_cam0`.
-        """
+        """The pose of a lost frame in the map frame; the prior is in that of odometry."""
         if prior is None:
             return None
         pose = self.map_from_cam0(prior.world_from_cam, anchor)

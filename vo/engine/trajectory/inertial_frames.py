@@ -20,9 +20,6 @@ class InertialFrame(NamedTuple):
 
     Attributes:
         keyframe: id of the keyframe with which it moves, that of the tracked frame beside it.
-        frame_index: number of the frame.
-        stamp_ns: its time.
-        segment: that of the keyframe.
         world_from_cam0: (4, 4) in the world of the path.
         covariance: (6, 6), None if it is unknown.
         has_position: whether the position is known, too; else it is that of the keyframe.
@@ -40,13 +37,7 @@ class InertialFrame(NamedTuple):
 def inserted(
     frames: NDArray[Any], added: Sequence[InertialFrame], keyframe_from_cam: Floats
 ) -> NDArray[Any]:
-    """Rows of all frames in time order.
-
-    Args:
-        frames: (n,) rows of the frames so far.
-        added: m frames, by increasing number.
-        keyframe_from_cam: (m, 4, 4) of these, in the units of the odometry.
-    """
+    """Rows of all frames in time order, with m added ones, at (m, 4, 4) from their keyframes."""
     rows = np.zeros(len(added), frames.dtype)
     rows["frame_index"] = [frame.frame_index for frame in added]
     rows["stamp_ns"] = [frame.stamp_ns for frame in added]
@@ -72,13 +63,7 @@ def with_inertial(
 
 
 def with_reference(covariance: Floats, world_from_cam0: Floats, reference: KeyframePose) -> Floats:
-    """Covariances (..., 6, 6) of motions since a keyframe, with that of the keyframe itself.
-
-    Args:
-        covariance: (..., 6, 6).
-        world_from_cam0: (..., 4, 4) poses after the motions.
-        reference: with a covariance.
-    """
+    """Covariances (..., 6, 6) of motions since a keyframe, with that of the keyframe itself."""
     assert reference.covariance is not None
     moved = adjoint(inverse(world_from_cam0) @ reference.world_from_cam0)
     return np.asarray(covariance + moved @ reference.covariance @ np.swapaxes(moved, -1, -2))

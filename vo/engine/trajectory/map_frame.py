@@ -17,8 +17,6 @@ class Anchor:
     Or one for each of n keyframes that follow, with n as the first dimension of all fields.
 
     Attributes:
-        odom_from_cam: (4, 4).
-        map_from_cam: (4, 4).
         scale: length in the map of one unit of the odometry frame.
         added_covariance: (6, 6) that of the placed pose less that of the odometry, in the frame of
             the camera and in units of the map; 0 if it is unknown.

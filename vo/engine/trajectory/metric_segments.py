@@ -15,10 +15,6 @@ class MetricSegments:
         by_sensor: numbers of the segments whose keyframes an inertial sensor has placed in metres.
         by_map: numbers of the worlds that are in metres by a loaded map.
         scales: by number of the world, measured after the last frame; the path was converted.
-
-    Args:
-        by_cameras: see above.
-        world_of: gives the number of the world of a segment.
     """
 
     def __init__(self, *, by_cameras: bool, world_of: Callable[[int], int]) -> None:

@@ -42,13 +42,7 @@ _UNKNOWN = np.full((6, 6), np.nan)
 def keyframe_rows(
     keyframes: Sequence[int], poses: Sequence[KeyframePose], anchors: Mapping[int, Anchor]
 ) -> NDArray[Any]:
-    """Rows (n,) of keyframes with poses in the odometry frame.
-
-    Args:
-        keyframes: ids.
-        poses: at least one.
-        anchors: what the keyframes of a segment follow, by segment.
-    """
+    """Rows (n,) of n > 0 keyframes with poses of odometry; anchors by segment."""
     rows = np.zeros(len(poses), KEYFRAME)
     rows["id"] = keyframes
     for name in ("frame_index", "stamp_ns", "segment"):

@@ -40,9 +40,6 @@ class TrajectoryStore:
     Attributes:
         interpolated: frames to be interpolated, None for no interpolation.
         metric: which segments are in metres, and by what.
-
-    Args:
-        is_metric: whether the cameras measure metres.
     """
 
     def __init__(self, *, is_metric: bool = False) -> None:
@@ -181,13 +178,10 @@ class TrajectoryStore:
         return rows["id"].copy(), poses, rows["scale"].copy(), symmetric(rows["covariance"])
 
     def apply_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Convert the poses of worlds to metres, once, after the last frame.
+        """Convert the poses of worlds to metres by scales of some, once, after the last frame.
 
         Covariances get the part that the uncertainty of the scale adds: the error of a position is
         along the line to the origin of the world and in proportion to its distance.
-
-        Args:
-            scales: by number of the world; others stay as they are.
         """
         self.metric.scales = scales
         table = self._keyframes.rows
@@ -248,11 +242,7 @@ class TrajectoryStore:
         table["covariance"][rows[known]] = moved[:, i, j]
 
     def remove_from(self, frame_index: int) -> Floats | None:
-        """Remove a frame and all after it.
-
-        Returns:
-            The pose (4, 4) of the first in the odometry frame, None without any.
-        """
+        """Remove a frame and all after it; the pose of the first in the odometry frame."""
         row = self._first_after_tracked(bisect_left(self.frames["frame_index"], frame_index))
         pose = None if row == len(self._frames) else self._poses(row, "odom_from_cam0")[0]
         keyframe_row = bisect_left(self._keyframes.rows["frame_index"], frame_index)
@@ -335,13 +325,9 @@ class TrajectoryStore:
     def trajectory_with(
         self, keyframes: Ints, worlds: Ints, map_from_cam0: Floats, scale: Floats
     ) -> Trajectory:
-        """The path as it would be with keyframes at other places; the store does not change.
+        """The path as it would be with keyframes placed otherwise; arguments as for `place`.
 
-        Args:
-            keyframes: (n,) increasing ids; segments without any are in their odometry frames.
-            worlds: as for `place`.
-            map_from_cam0: as for `place`.
-            scale: as for `place`.
+        Segments without any are in their odometry frames. The store does not change.
         """
         other = TrajectoryStore()
         other._frames.replace(self.frames)  # which `place` reads only
