@@ -115,15 +115,17 @@ def test_a_board_to_print(tmp_path: Path) -> None:
 
 
 def test_view_prints_its_address_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    from vo.cli.view import _text_of
+    from vo.cli.options import Printing
+    from vo.cli.view import print_address
 
-    _text_of(as_json=True, quiet=False)(Path("run.rrd"), "http://localhost:1?url=x", 2)
+    address = Path("run.rrd"), "http://localhost:1?url=x", 2
+    print_address(Printing(json_output=True), *address)
     assert json.loads(capsys.readouterr().out) == {
         "recording": "run.rrd",
         "address": "http://localhost:1?url=x",
         "data_port": 2,
     }
-    _text_of(as_json=False, quiet=True)(Path("run.rrd"), "http://localhost:1?url=x", 2)
+    print_address(Printing(quiet=True), *address)
     assert capsys.readouterr().out == ""
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import Any
 
 from vo.api.same_bits import prepare
 from vo.base.config import Config, load_config
@@ -16,7 +16,6 @@ from vo.outputs.evaluation.report import Evaluation
 from vo.outputs.evaluation.report import evaluate as evaluate_trajectories
 from vo.outputs.results.summary import Summary
 from vo.recordings.sources.source import FrameStream
-from vo.runs.run_recording import RunOptions
 from vo.runs.run_recording import run as run_recording
 
 
@@ -26,7 +25,7 @@ def run(
     config: Config | str | Path = "default",
     *,
     overrides: Sequence[str] = (),
-    **options: Unpack[RunOptions],
+    **options: Any,
 ) -> Summary:
     """Compute a camera's path from a recording and write it, as `vo run` does.
 
@@ -35,7 +34,7 @@ def run(
         output: folder for the results (docs/outputs.md); those of an earlier run are removed.
         config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
         overrides: settings to change, such as `["features.count=2500"]`.
-        **options: see `vo.runs.run_recording.RunOptions`: mode, start, end, stride, calibration,
+        **options: see `vo.runs.run_options.RunOptions`: mode, start, end, stride, calibration,
             topics, rrd, exports and others.
 
     Raises:

@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 
 from vo.base.errors import VoError
 from vo.cli.batch import batch_command
+from vo.cli.blocks import CommandFunction
 from vo.cli.calibrate import calibrate_command
 from vo.cli.command import Command
 from vo.cli.compare import compare_command
@@ -170,7 +171,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
 }
 for _heading, _functions in _COMMANDS.items():
     for _name, _function in _functions.items():
-        app.command(_name, cls=Command, rich_help_panel=_heading)(_function)
+        app.command(_name, cls=Command, rich_help_panel=_heading)(CommandFunction(_function))
 
 
 def keep_only(arguments: list[str]) -> None:

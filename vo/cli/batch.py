@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.blocks import Only
+from vo.cli.echo import echo
 
 if TYPE_CHECKING:
     from vo.runs.batch.batch import BatchResult, Engine
-    from vo.runs.batch.execution import Limits
 
 # Heading of options in `--help`, besides those in `options`.
 _ENGINE = "Where and how they run"
@@ -68,62 +69,6 @@ Dataset = Annotated[
         rich_help_panel=options.INPUT,
     ),
 ]
-Jobs = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Recordings at the same time on this machine.",
-        show_default="one for two cores",
-        rich_help_panel=_ENGINE,
-    ),
-]
-Ray = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Run on a Ray cluster: auto (that of this machine), HOST:PORT, or local.",
-        rich_help_panel=_ENGINE,
-    ),
-]
-Threads = Annotated[
-    int,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="With --ray: cores for each recording.",
-        rich_help_panel=_ENGINE,
-    ),
-]
-Timeout = Annotated[
-    float | None,
-    typer.Option(
-        min=0.1,
-        metavar="SECONDS",
-        help="End a run that takes longer.",
-        show_default="never",
-        rich_help_panel=_ENGINE,
-    ),
-]
-Memory = Annotated[
-    int | None,
-    typer.Option(
-        min=256,
-        metavar="MB",
-        help="Address space of a run; one that needs more fails.",
-        show_default="no limit",
-        rich_help_panel=_ENGINE,
-    ),
-]
-Retries = Annotated[
-    int,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="Further attempts after a crash or a timeout.",
-        rich_help_panel=_ENGINE,
-    ),
-]
 
 
 Report = Annotated[
@@ -136,26 +81,80 @@ Report = Annotated[
 ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunOn:
+    """Where and how the recordings run."""
+
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Recordings at the same time on this machine.",
+            show_default="one for two cores",
+            rich_help_panel=_ENGINE,
+        ),
+    ] = None
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Run on a Ray cluster: auto (that of this machine), HOST:PORT, or local.",
+            rich_help_panel=_ENGINE,
+        ),
+    ] = None
+    threads: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="With --ray: cores for each recording.",
+            rich_help_panel=_ENGINE,
+        ),
+    ] = 2
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            metavar="SECONDS",
+            help="End a run that takes longer.",
+            show_default="never",
+            rich_help_panel=_ENGINE,
+        ),
+    ] = None
+    memory: Annotated[
+        int | None,
+        typer.Option(
+            min=256,
+            metavar="MB",
+            help="Address space of a run; one that needs more fails.",
+            show_default="no limit",
+            rich_help_panel=_ENGINE,
+        ),
+    ] = None
+    retries: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Further attempts after a crash or a timeout.",
+            rich_help_panel=_ENGINE,
+        ),
+    ] = 1
+
+
 def batch_command(
+    *,
     sources: Sources = None,
     output: Output = Path("batch"),
     manifest: Manifest = None,
     dataset: Dataset = None,
-    calibration: options.Calibration = None,
-    mode: options.Mode = options.ModeChoice.AUTO,
-    format: options.Format = None,
+    reading: Annotated[options.Reading, Only("calibration", "mode", "format")],
     config: options.Config = "default",
     overrides: options.Overrides = None,
-    jobs: Jobs = None,
-    ray: Ray = None,
-    threads: Threads = 2,
-    timeout: Timeout = None,
-    memory: Memory = None,
-    retries: Retries = 1,
+    runs: RunOn,
     report: Report = False,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Run the odometry on many recordings, and tabulate the results.
 
@@ -189,9 +188,7 @@ def batch_command(
     from vo.base.extras import require
     from vo.cli.batch_table import BatchBar, print_batch
     from vo.cli.console import standard_error, standard_output
-    from vo.cli.progress import warnings_on
     from vo.runs.batch.batch import run_batch
-    from vo.runs.batch.execution import Limits
     from vo.runs.batch.job import Job
     from vo.runs.batch.planning import MANIFEST_SUFFIXES, plan
 
@@ -210,39 +207,38 @@ def batch_command(
         "",
         config,
         tuple(overrides or ()),
-        mode.value,
-        None if calibration is None else str(calibration),
-        format,
+        reading.mode.value,
+        None if reading.calibration is None else str(reading.calibration),
+        reading.format,
     )
-    console = standard_error()
-    with warnings_on(console, quiet=quiet):
+    with printing.warnings():
         planned = plan(given, shared, manifest, None if dataset is None else dataset.value)
-        engine = make_engine(ray, jobs, Limits(threads, timeout, memory, retries, report))
-        bar = BatchBar(console, quiet=quiet)
+        engine = make_engine(runs, report=report)
+        bar = BatchBar(standard_error(), quiet=printing.quiet)
         result = run_batch(planned, output, engine, bar)
-    if json_output:
-        echo_json(_as_dict(result))
-    elif not quiet:
-        print_batch(result, planned, standard_output())
+    printing.show(lambda: _as_dict(result), lambda: print_batch(result, planned, standard_output()))
     if result.is_interrupted:
         raise typer.Exit(130)
     if result.unfinished:
-        if quiet or json_output:
+        if printing.quiet or printing.json_output:
             echo(f"warning: {len(result.unfinished)} recordings failed; see {output}", err=True)
         raise typer.Exit(_SOME_FAILED)
 
 
-def make_engine(ray: str | None, jobs: int | None, limits: Limits) -> Engine:
+def make_engine(runs: RunOn, *, report: bool = False) -> Engine:
     """Where recordings run: on this machine, or on a cluster."""
-    if ray is None:
+    from vo.runs.batch.execution import Limits
+
+    limits = Limits(runs.threads, runs.timeout, runs.memory, runs.retries, report)
+    if runs.ray is None:
         from vo.runs.batch.batch import LocalEngine
 
-        return LocalEngine(jobs, limits)
-    if jobs is not None:
+        return LocalEngine(runs.jobs, limits)
+    if runs.jobs is not None:
         raise typer.BadParameter("--jobs is for this machine; Ray decides by cores (--threads)")
     from vo.runs.batch.cluster import RayEngine
 
-    return RayEngine(ray, limits)
+    return RayEngine(runs.ray, limits)
 
 
 def _as_dict(result: BatchResult) -> dict[str, object]:

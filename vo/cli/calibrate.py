@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-import typer
-
-from vo.base.errors import ConfigError, OutputError
-from vo.cli import calibrate_options as choices
-from vo.cli import options
-from vo.cli.calibrate_progress import search_progress
+from vo.base.errors import ConfigError
+from vo.cli.calibrate_options import Request
+from vo.cli.calibrate_recording import (
+    check_outputs,
+    open_recording,
+    refuse_existing,
+    search_progress,
+)
 from vo.cli.echo import echo, echo_json
+from vo.cli.stopping import interrupts_named
 
 if TYPE_CHECKING:
     from vo.tools.calibrating.board import Board
@@ -24,36 +26,7 @@ _MAX_GROUP = 10
 """Largest number of frames read for each frame searched."""
 
 
-def calibrate_command(
-    source: choices.Recording = None,
-    output: choices.Output = None,
-    board: choices.Kind = choices.BoardKind.CHESSBOARD,
-    columns: choices.Columns = 9,
-    rows: choices.Rows = 6,
-    square: choices.Square = 0.03,
-    marker: choices.Marker = None,
-    dictionary: choices.Dictionary = "4X4_50",
-    legacy: choices.Legacy = False,
-    model: choices.LensChoice = choices.Model.AUTO,
-    mode: options.Mode = options.ModeChoice.AUTO,
-    format: options.Format = None,
-    topic: options.Topics = None,
-    right_offset: options.RightOffset = None,
-    side_by_side: options.SideBySide = False,
-    start: options.Start = 0,
-    end: options.End = None,
-    look_at: choices.LookAt = 400,
-    views: choices.Views = 60,
-    picture: choices.Picture = None,
-    print_board: choices.PrintBoard = None,
-    imu: choices.Imu = False,
-    calibration: choices.Cameras = None,
-    imu_noise: choices.ImuNoise = False,
-    force: choices.Force = False,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
-) -> None:
+def calibrate_command(request: Request) -> None:
     """Calibrate one or two cameras from a recording of a chessboard or ChArUco board.
 
     Make a board, print it at 100 % and glue it onto something flat:
@@ -76,89 +49,61 @@ def calibrate_command(
 
       vo calibrate --imu-noise rest.mcap -o imu.yaml --picture allan.png
     """
+    if request.imu_noise:
+        from vo.cli.calibrate_imu_noise import calibrate_imu_noise
+
+        calibrate_imu_noise(request)
+        return
     from vo.tools.calibrating.board import make_board
 
-    topics = tuple(topic or ())
-    if imu_noise:
-        _measure_noise(source, output, picture, force, format, topics, json_output, quiet)
-        return
-    output = output or Path("calibration.yaml")
-
-    made = make_board(board.value, columns, rows, square, marker, dictionary, legacy)
-    _refuse_existing([print_board, None if source is None else output], force)
-    if print_board is not None:
-        _print_board(print_board, made)
+    given, source = request.board, request.source
+    made = make_board(
+        given.board.value,
+        given.columns,
+        given.rows,
+        given.square,
+        given.marker,
+        given.dictionary,
+        given.legacy,
+    )
+    output = request.output or Path("calibration.yaml")
+    refuse_existing(request, [request.print_board, None if source is None else output])
+    if request.print_board is not None:
+        _print_board(request.print_board, made)
         if source is None:
-            if json_output:
-                echo_json({"board": str(made), "output": str(print_board)})
+            if request.printing.json_output:
+                echo_json({"board": str(made), "output": str(request.print_board)})
             return
     if source is None:
         raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
-    offset_ns = options.offset_ns(right_offset)
-    request = Request(
-        source,
-        format,
-        mode,
-        topics,
-        offset_ns,
-        side_by_side,
-        start,
-        end,
-        look_at,
-        model.value,
-        views,
-        quiet,
-    )
-    if imu:
-        _calibrate_imu(request, made, output, calibration, force, json_output)
-        return
-    if calibration is not None:
+    if request.imu:
+        from vo.cli.calibrate_imu import calibrate_imu
+
+        calibrate_imu(request, source, made, output)
+    elif request.calibration is not None:
         raise ConfigError("--calibration gives the cameras for --imu; leave it out, or add --imu")
-    result = _calibrate_and_write(request, made, output, picture)
-    if json_output:
-        from vo.tools.calibrating.report import to_dict
+    else:
+        _calibrate_cameras(request, source, made, output)
 
-        written = None if picture is None else str(picture)
-        echo_json(to_dict(result) | {"output": str(output), "picture": written})
-    elif quiet:
-        from vo.tools.calibrating.advice import warnings_of
 
+def _calibrate_cameras(request: Request, source: Path, board: Board, output: Path) -> None:
+    from vo.cli.calibrate_table import print_result
+    from vo.tools.calibrating.advice import warnings_of
+    from vo.tools.calibrating.report import to_dict
+
+    printing, picture = request.printing, request.picture
+    check_outputs([source], output, picture)
+    with interrupts_named(output):
+        result = _calibrate(request, source, board)
+    _write(result, output, picture)
+    written = None if picture is None else str(picture)
+    printing.show(
+        lambda: to_dict(result) | {"output": str(output), "picture": written},
+        lambda: print_result(result, output, picture),
+    )
+    if printing.quiet and not printing.json_output:
         for line in warnings_of(result):
             echo(f"warning: {line}", err=True)
-    else:
-        from vo.cli.calibrate_table import print_result
-
-        print_result(result, output, picture)
-
-
-def _measure_noise(
-    source: Path | None,
-    output: Path | None,
-    picture: Path | None,
-    force: bool,
-    format: str | None,
-    topics: tuple[str, ...],
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    from vo.cli.calibrate_imu_noise import calibrate_imu_noise
-    from vo.outputs.results.output_paths import refuse_to_overwrite
-
-    if source is None:
-        raise ConfigError("give a recording of the inertial sensor at rest")
-    output = output or Path("imu.yaml")
-    _refuse_existing([output], force)
-    refuse_to_overwrite([source], [output, picture])
-    _check_outputs(output, picture)
-    calibrate_imu_noise(
-        source, output, picture, format=format, topics=topics, as_json=as_json, quiet=quiet
-    )
-
-
-def _refuse_existing(paths: Sequence[Path | None], force: bool) -> None:
-    for path in paths:
-        if path is not None and path.is_file() and not force:
-            raise OutputError(f"{path} exists already; choose another file, or replace it: --force")
 
 
 def _print_board(path: Path, board: Board) -> None:
@@ -168,107 +113,29 @@ def _print_board(path: Path, board: Board) -> None:
     echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
 
 
-def _calibrate_imu(
-    request: Request,
-    board: Board,
-    output: Path,
-    calibration: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
-    from vo.cli.calibrate_imu import KALIBR_NAME, calibrate_imu
-    from vo.outputs.results.output_paths import refuse_to_overwrite
-
-    kalibr = output.with_name(KALIBR_NAME)
-    _refuse_existing([kalibr], force)
-    refuse_to_overwrite([request.path], [output, kalibr])
-    _check_outputs(output, None)
-    try:
-        calibrate_imu(request, board, output, calibration, as_json=as_json)
-    except KeyboardInterrupt:
-        echo(f"interrupted; {output} was not written", err=True)
-        raise typer.Exit(130) from None
-
-
-class Request(NamedTuple):
-    """The recording to calibrate from, and the choice of its frames and views."""
-
-    path: Path
-    format: str | None
-    mode: options.ModeChoice
-    topics: tuple[str, ...]
-    right_offset_ns: int | None
-    side_by_side: bool
-    start: int
-    end: int | None
-    max_frames: int
-    model: str
-    max_views: int
-    quiet: bool
-
-
-def _calibrate_and_write(
-    request: Request, board: Board, output: Path, picture: Path | None
-) -> CalibrationResult:
-    from vo.outputs.results.output_paths import refuse_to_overwrite
-
-    refuse_to_overwrite([request.path], [output, picture])
-    _check_outputs(output, picture)
-    try:
-        result = _calibrate(request, board)
-    except KeyboardInterrupt:
-        echo(f"interrupted; {output} was not written", err=True)
-        raise typer.Exit(130) from None
-    _write(result, output, picture)
-    return result
-
-
-def _calibrate(request: Request, board: Board) -> CalibrationResult:
+def _calibrate(request: Request, path: Path, board: Board) -> CalibrationResult:
     from vo.base.errors import CalibrationError
-    from vo.cli.console import standard_error
-    from vo.cli.progress import warnings_on
-    from vo.recordings.sources.uncalibrated import open_uncalibrated
     from vo.tools.calibrating.calibrate import calibrate
     from vo.tools.calibrating.fit import MIN_VIEWS
     from vo.tools.calibrating.missing_board import explain_missing_board
     from vo.tools.calibrating.views import detect_views, least_motion_frames
 
-    console = standard_error()
-    path, format, mode, topics, offset_ns, side_by_side, start, end = request[:8]
-    max_frames, model, max_views, quiet = request[8:]
-    with warnings_on(console, quiet=quiet):
-        source = open_uncalibrated(
-            path,
-            format=format,
-            mode=mode.value,
-            topics=topics,
-            right_offset_ns=offset_ns,
-            side_by_side=side_by_side,
-        )
+    start, end, max_frames = request.frames.start, request.frames.end, request.look_at
+    with request.printing.warnings():
+        source = open_recording(path, request)
         count = max(min(end or len(source), len(source)) - start, 1)
         group_size = min(-(-count // max_frames), _MAX_GROUP)
         stride = -(-count // (max_frames * group_size))
         step = stride * group_size
         chosen = least_motion_frames(source.frames(start, end, stride), group_size)
         cameras = 2 if source.rig.is_stereo else 1
-        with search_progress(standard_error(quiet=quiet), -(-count // step)) as progress:
+        with search_progress(request.printing.errors, -(-count // step)) as progress:
             detected = detect_views(board, chosen, cameras, os.cpu_count() or 1, progress)
         if len(detected.views) < min(MIN_VIEWS, detected.frames / 2):
             frames = source.frames(start, end, step)
             raise CalibrationError(explain_missing_board(board, detected, frames))
         size = (source.rig.cam0.width, source.rig.cam0.height)
-        return calibrate(board, detected, size, model, max_views)
-
-
-def _check_outputs(output: Path, picture: Path | None) -> None:
-    """Check the output paths before minutes of work."""
-    for path in (output, picture):
-        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-            raise OutputError(f"{path} cannot be written; give a file in an existing folder")
-    if picture is not None:
-        from vo.tools.calibrating.plots import check_suffix
-
-        check_suffix(picture)
+        return calibrate(board, detected, size, request.model.value, request.views)
 
 
 def _write(result: CalibrationResult, output: Path, picture: Path | None) -> None:

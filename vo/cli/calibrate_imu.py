@@ -8,12 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vo.cli.calibrate_progress import search_progress
+from vo.cli.calibrate_recording import (
+    check_outputs,
+    open_recording,
+    refuse_existing,
+    search_progress,
+)
 from vo.cli.echo import echo, echo_json
+from vo.cli.stopping import interrupts_named
 
 if TYPE_CHECKING:
     from vo.base.types import Rig
-    from vo.cli.calibrate import Request
+    from vo.cli.calibrate_options import Request
     from vo.recordings.formats.calibration import ImuCalibration
     from vo.tools.calibrating.board import Board
     from vo.tools.calibrating.imu_camera import ImuOnCamera
@@ -22,70 +28,61 @@ KALIBR_NAME = "camchain-imucam.yaml"
 _MAX_FRAMES = 2000
 
 
-def calibrate_imu(
-    request: Request, board: Board, output: Path, calibration: Path | None, *, as_json: bool
-) -> None:
+def calibrate_imu(request: Request, source: Path, board: Board, output: Path) -> None:
     """Calibrate, write our own and Kalibr's file, and print the result."""
-    from vo.cli.console import standard_error
-    from vo.cli.progress import warnings_on
+    from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.recordings.formats.calibration import write_calibration
     from vo.tools.calibrating.imu_advice import comments, warnings_of
     from vo.tools.calibrating.kalibr_chain import write_chain
 
-    with warnings_on(standard_error(), quiet=request.quiet):
-        rig, found, imu = _calibrate(request, board, calibration)
+    kalibr, printing = output.with_name(KALIBR_NAME), request.printing
+    refuse_existing(request, [kalibr])
+    refuse_to_overwrite([source], [kalibr])
+    check_outputs([source], output, None)
+    with interrupts_named(output), printing.warnings():
+        rig, found, imu = _calibrate(request, source, board)
     write_calibration(output, rig, comments(found), imu)
-    kalibr = output.with_name(KALIBR_NAME)
     reason = write_chain(kalibr, rig, imu)
     warnings = warnings_of(found)
-    if as_json:
+    if printing.json_output:
         written = None if reason else str(kalibr)
         facts = _facts(found) | {"warnings": warnings, "output": str(output), "kalibr": written}
         echo_json(facts)
         return
-    if not request.quiet:
+    if not printing.quiet:
         _print(found)
     for line in warnings:
         echo(f"warning: {line}", err=True)
-    if not request.quiet:
+    if not printing.quiet:
         echo(f"calibration: {output}")
         echo(f"not in Kalibr's layout: {reason}" if reason else f"in Kalibr's layout: {kalibr}")
 
 
 def _calibrate(
-    request: Request, board: Board, calibration: Path | None
+    request: Request, path: Path, board: Board
 ) -> tuple[Rig, ImuOnCamera, ImuCalibration]:
-    from vo.cli.console import standard_error
     from vo.recordings.formats.calibration import ImuCalibration, read_calibration
     from vo.recordings.sources.imu import usable_noise
     from vo.recordings.sources.imu_only import open_imu
-    from vo.recordings.sources.uncalibrated import open_uncalibrated
     from vo.tools.calibrating.board_poses import board_poses
     from vo.tools.calibrating.calibrate import calibrate
     from vo.tools.calibrating.imu_camera import calibrate_imu_camera
     from vo.tools.calibrating.views import detect_views
 
-    sensor = open_imu(request.path, request.format, request.topics)
+    sensor = open_imu(path, request.reading.format, request.reading.topics)
     samples = sensor.read()
-    source = open_uncalibrated(
-        request.path,
-        format=request.format,
-        mode=request.mode.value,
-        topics=request.topics,
-        right_offset_ns=request.right_offset_ns,
-        side_by_side=request.side_by_side,
-    )
+    source = open_recording(path, request)
+    calibration, start, end = request.calibration, request.frames.start, request.frames.end
     size = (source.rig.cam0.width, source.rig.cam0.height)
     given = None if calibration is None else read_calibration(calibration, size)
-    count = max(min(request.end or len(source), len(source)) - request.start, 1)
+    count = max(min(end or len(source), len(source)) - start, 1)
     stride = -(-count // _MAX_FRAMES)
     cameras = 2 if source.rig.is_stereo and given is None else 1
-    frames = source.frames(request.start, request.end, stride)
-    console = standard_error(quiet=request.quiet)
-    with search_progress(console, -(-count // stride)) as progress:
+    frames = source.frames(start, end, stride)
+    with search_progress(request.printing.errors, -(-count // stride)) as progress:
         detected = detect_views(board, frames, cameras, os.cpu_count() or 1, progress)
     if given is None:
-        rig = calibrate(board, detected, size, request.model, request.max_views).rig
+        rig = calibrate(board, detected, size, request.model.value, request.views).rig
         noise = usable_noise(sensor)
     else:
         rig, noise = given.rig, given.imu.noise or usable_noise(sensor)

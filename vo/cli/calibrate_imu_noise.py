@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from vo.base.errors import ConfigError
+from vo.cli.calibrate_options import Request
+from vo.cli.calibrate_recording import check_outputs, refuse_existing
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
     from vo.tools.calibrating.imu_noise import ImuNoiseResult, SensorNoise
 
 
-def calibrate_imu_noise(
-    source: Path,
-    output: Path,
-    picture: Path | None,
-    *,
-    format: str | None,
-    topics: Sequence[str],
-    as_json: bool,
-    quiet: bool,
-) -> None:
+def calibrate_imu_noise(request: Request) -> None:
     """Measure, write Kalibr's imu.yaml and perhaps a plot, and print the noise."""
-    from vo.cli.console import standard_error
-    from vo.cli.progress import warnings_on
     from vo.recordings.sources.imu_only import open_imu
     from vo.tools.calibrating.imu_noise import measure_noise, warnings_of, write_kalibr
 
-    with warnings_on(standard_error(), quiet=quiet):
-        sensor = open_imu(source, format, topics)
+    source, picture, printing = request.source, request.picture, request.printing
+    if source is None:
+        raise ConfigError("give a recording of the inertial sensor at rest")
+    output = request.output or Path("imu.yaml")
+    refuse_existing(request, [output])
+    check_outputs([source], output, picture)
+    with printing.warnings():
+        sensor = open_imu(source, request.reading.format, request.reading.topics)
         samples = sensor.read()
         result = measure_noise(samples.stamps_ns, samples.gyro, samples.accel)
     if picture is not None:
@@ -37,15 +34,15 @@ def calibrate_imu_noise(
 
         save_allan_plot(picture, result)
     write_kalibr(output, result, sensor.name if sensor.name.startswith("/") else "/imu0")
-    if as_json:
+    if printing.json_output:
         written = None if picture is None else str(picture)
         echo_json(_facts(result) | {"output": str(output), "picture": written})
         return
-    if not quiet:
+    if not printing.quiet:
         _print(result)
     for line in warnings_of(result):
         echo(f"warning: {line}", err=True)
-    if not quiet:
+    if not printing.quiet:
         echo(f"noise: {output}")
         if picture is not None:
             echo(f"picture: {picture}")

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,11 +47,10 @@ FailIfWorse = Annotated[
 def compare_command(
     before: Before,
     after: After,
+    *,
     output: Output = None,
     fail_if_worse: FailIfWorse = None,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Compare two batches: of two versions, or of two settings.
 
@@ -81,10 +79,7 @@ def compare_command(
     compared = compare(read_batch(before), read_batch(after))
     if output is not None:
         write_atomically(output, comparison_page(compared, str(before), str(after)))
-    if json_output:
-        echo_json(compared.to_dict())
-    elif not quiet:
-        _print(compared, standard_output())
+    printing.show(compared.to_dict, lambda: _print(compared, standard_output()))
     if limit is not None and (compared.lost or compared.worse_than(limit)):
         raise typer.Exit(_WORSE)
 

@@ -11,7 +11,9 @@ import typer
 
 from vo.base.printable import counted
 from vo.cli import completion, options
-from vo.cli.echo import echo, echo_json
+from vo.cli.blocks import Only
+from vo.cli.echo import echo
+from vo.cli.stopping import interrupts_named
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,22 +60,17 @@ Force = Annotated[
 def convert_command(
     source: options.Recording,
     output: Output,
+    *,
     to: options.OutputFormat = None,
     codec: Codec = "png",
-    start: options.Start = 0,
-    end: options.End = None,
-    stride: options.Stride = 1,
+    frames: options.Frames,
     resize: Resize = None,
     gray: Gray = False,
-    mode: options.Mode = options.ModeChoice.AUTO,
-    calibration: options.Calibration = None,
-    format: options.Format = None,
-    topic: options.Topics = None,
-    right_offset: options.RightOffset = None,
+    reading: Annotated[
+        options.Reading, Only("mode", "calibration", "format", "topic", "right_offset")
+    ],
     force: Force = False,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Convert a recording to another format, size or length.
 
@@ -91,53 +88,32 @@ def convert_command(
     """
     from vo.cli.console import standard_error
     from vo.cli.conversion import Conversion
-    from vo.cli.progress import details_on, warnings_on
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.tools.inspection.opening import open_leniently
 
-    refuse_to_overwrite((source, calibration), (output,))
+    refuse_to_overwrite((source, reading.calibration), (output,))
     console = standard_error()
     chosen = _output_format(to, output)
-    settings = Conversion(chosen, codec, start, end, stride, _size(resize), gray)
-    with details_on(console):
-        opened = open_leniently(
-            source,
-            format=format,
-            calibration=calibration,
-            mode=mode.value,
-            topics=topic or (),
-            right_offset_ns=options.offset_ns(right_offset),
-        )
+    settings = Conversion(
+        chosen, codec, frames.start, frames.end, frames.stride, _size(resize), gray
+    )
+    with printing.details():
+        opened = open_leniently(source, **reading.keywords)
     for warning in opened.warnings:
         console.print(f"warning: {warning.text}", markup=False, soft_wrap=True)
-    try:
-        with warnings_on(console, quiet=quiet):
-            made = _convert(opened, output, settings, force, standard_error(quiet=quiet))
-    except KeyboardInterrupt:
-        echo(f"interrupted; {output} was not written", err=True)
-        raise typer.Exit(130) from None
+    with interrupts_named(output), printing.warnings():
+        made = _convert(opened, output, settings, force, printing.errors)
     facts = _facts(made, output, settings)
-    if json_output:
-        echo_json(facts)
-    elif not quiet:
-        echo(_sentence(facts))
+    printing.show(lambda: facts, lambda: echo(_sentence(facts)))
 
 
 def _convert(
     opened: OpenedRecording, output: Path, settings: Conversion, force: bool, console: Console
 ) -> Recording:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
-
     from vo.cli.conversion import convert
+    from vo.cli.progress import frame_bar
 
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    is_hidden = console.quiet or not console.is_terminal
-    with Progress(*columns, console=console, disable=is_hidden, transient=True) as bar:
-        task = bar.add_task("converting", total=None)
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total)
-
+    with frame_bar(console, "converting") as (_, show):
         return convert(opened, output, settings, force=force, on_frame=show)
 
 

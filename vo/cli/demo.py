@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 def demo_command(
+    *,
     output: Annotated[
         Path,
         typer.Option(
@@ -34,9 +35,7 @@ def demo_command(
             help="Folder for the recording and the results.",
         ),
     ] = Path("out/demo"),
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Demonstrate visual odometry on a synthetic stereo recording.
 
@@ -46,10 +45,11 @@ def demo_command(
 
       vo demo
     """
-    from vo.cli.console import standard_error, standard_output
+    from vo.cli.console import standard_output
     from vo.cli.eval_table import print_evaluation
 
-    console, errors = standard_output(quiet=quiet or json_output), standard_error(quiet=quiet)
+    console = standard_output(quiet=printing.quiet or printing.json_output)
+    errors = printing.errors
     sequence = _find_or_make_sequence(output, console, errors)
     results = output / "run"
     rrd, picture = results / "run.rrd", results / "eval.png"
@@ -60,7 +60,7 @@ def demo_command(
     )
     inputs, evaluation = _evaluate(results, sequence)
     has_picture = _try_to_draw(picture, inputs, evaluation, errors)
-    if json_output:
+    if printing.json_output:
         files = {"recording": sequence, "output": results, "rrd": rrd}
         paths = {name: str(path) for name, path in files.items()}
         paths |= {"picture": str(picture)} if has_picture else {}
@@ -71,20 +71,12 @@ def demo_command(
 
 def _find_or_make_sequence(output: Path, console: Console, errors: Console) -> Path:
     """The recording, rendered unless it exists; an existing one is always complete."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
-
     from data_synth.cache import cached_sequence
     from data_synth.recipe import load_recipe
+    from vo.cli.progress import frame_bar
 
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    is_hidden = errors.quiet or not errors.is_terminal
-    with Progress(*columns, console=errors, transient=True, disable=is_hidden) as bar:
-        task = bar.add_task("preparing the renderer", total=None)
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, description="rendering", completed=done, total=total)
-
-        recipe = load_recipe("demo")
+    recipe = load_recipe("demo")
+    with frame_bar(errors, "preparing the renderer", "rendering") as (bar, show):
         sequence = cached_sequence(recipe, output, "recording", on_frame=show)
         origin = "" if bar.tasks[0].total else " (made earlier)"
     console.print(f"recording   {sequence}{origin}: {recipe.about}", markup=False, soft_wrap=True)

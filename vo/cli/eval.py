@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo_json
 
 if TYPE_CHECKING:
     from vo.outputs.evaluation.inputs import Inputs
@@ -115,6 +114,7 @@ Picture = Annotated[
 def eval_command(
     estimate: Estimate,
     reference: Reference,
+    *,
     align: Alignment = Align.AUTO,
     tolerance: Tolerance = 0.01,
     interpolate: Interpolate = False,
@@ -123,9 +123,7 @@ def eval_command(
     all_segments: AllSegments = False,
     calibration: options.Calibration = None,
     topic: Topics = None,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
     picture: Picture = None,
 ) -> None:
     """Evaluate an estimated trajectory against ground truth.
@@ -146,9 +144,8 @@ def eval_command(
       vo eval log.mcap truth.tum --topic estimate=/odom
     """
     from vo.base.extras import require
-    from vo.cli.console import standard_error
     from vo.cli.eval_inputs import read_inputs
-    from vo.cli.progress import warnings_on
+    from vo.cli.eval_table import print_evaluation
     from vo.outputs.evaluation.report import evaluate
     from vo.outputs.results.output_paths import is_run_folder, refuse_to_overwrite
 
@@ -156,7 +153,7 @@ def eval_command(
     refuse_to_overwrite(read, [picture])
     if picture is not None:
         require("matplotlib", extra="report", what="plots")
-    with warnings_on(standard_error(), quiet=quiet):
+    with printing.warnings():
         inputs = read_inputs(
             estimate,
             reference,
@@ -178,12 +175,10 @@ def eval_command(
         from vo.outputs.evaluation.plots import save_plot
 
         save_plot(picture, evaluation, inputs.reference, _title(inputs))
-    if json_output:
-        _print_json(evaluation, inputs, picture)
-    elif not quiet:
-        from vo.cli.eval_table import print_evaluation
-
-        print_evaluation(evaluation, inputs, picture)
+    printing.show(
+        lambda: _record(evaluation, inputs, picture),
+        lambda: print_evaluation(evaluation, inputs, picture),
+    )
 
 
 def _title(inputs: Inputs) -> str:
@@ -192,15 +187,14 @@ def _title(inputs: Inputs) -> str:
     return f"{names[0]}  vs.  {names[1]}"
 
 
-def _print_json(evaluation: Evaluation, inputs: Inputs, picture: Path | None) -> None:
+def _record(evaluation: Evaluation, inputs: Inputs, picture: Path | None) -> dict[str, object]:
     written = None if picture is None else str(picture)
-    result = {
+    return {
         "estimate": str(inputs.estimate_path),
         "reference": str(inputs.reference_path),
         "mode": inputs.mode,
         **evaluation.to_dict(),
         "picture": written,
         "plot": written,  # its name in the release before
+        "notes": [*inputs.notes, *evaluation.notes],
     }
-    result["notes"] = [*inputs.notes, *evaluation.notes]
-    echo_json(result)

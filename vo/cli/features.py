@@ -2,126 +2,120 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from vo.cli import completion, options
+from vo.cli.blocks import Only
 
 _METHOD, _COMPARISON = "Method", "Comparison"
 
-Target = Annotated[
-    Path, typer.Argument(metavar="TARGET", help="An image, or a recording in any format of vo run.")
-]
-Second = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="SECOND",
-        help="A second image of the same plane, with --homography.",
-        show_default=False,
-    ),
-]
-Detector = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Detector (docs/features.md).",
-        show_default="orb",
-        autocompletion=completion.detectors,
-        rich_help_panel=_METHOD,
-    ),
-]
-Descriptor = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Descriptor.",
-        show_default="the detector's own",
-        autocompletion=completion.descriptors,
-        rich_help_panel=_METHOD,
-    ),
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="SECTION.KEY=VALUE",
-        help="A setting of features or matching, as for vo run; repeatable.",
-        rich_help_panel=_METHOD,
-    ),
-]
-FrameNumber = Annotated[
-    int | None,
-    typer.Option(
-        "--frame",
-        min=0,
-        metavar="N",
-        help="Frame of the recording to show; its left image is used.",
-        show_default="0",
-        rich_help_panel=options.INPUT,
-    ),
-]
-Compare = Annotated[
-    str | None,
-    typer.Option(
-        metavar="METHODS",
-        help="Compare methods, such as orb,sift,fast+brisk,sift/flann,klt, or all: by the ground "
-        "truth of a recording, by --homography, or in one image.",
-        rich_help_panel=_COMPARISON,
-    ),
-]
-Gaps = Annotated[
-    str,
-    typer.Option(
-        metavar="N,N",
-        help="Frames between the images of a pair.",
-        rich_help_panel=_COMPARISON,
-    ),
-]
-Pairs = Annotated[
-    int,
-    typer.Option(
-        min=1, metavar="N", help="Number of pairs for each gap.", rich_help_panel=_COMPARISON
-    ),
-]
-Homography = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="3 x 3 matrix that takes pixels of TARGET to those of SECOND, as text (HPatches).",
-        rich_help_panel=_COMPARISON,
-    ),
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Draw the features of an image to this PNG file, or plot the comparison of a "
-        "recording (.png, .pdf, .svg).",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """Arguments and options of the command."""
+
+    target: Annotated[
+        Path,
+        typer.Argument(metavar="TARGET", help="An image, or a recording in any format of vo run."),
+    ]
+    second: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="SECOND",
+            help="A second image of the same plane, with --homography.",
+            show_default=False,
+        ),
+    ] = None
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Detector (docs/features.md).",
+            show_default="orb",
+            autocompletion=completion.detectors,
+            rich_help_panel=_METHOD,
+        ),
+    ] = None
+    descriptor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Descriptor.",
+            show_default="the detector's own",
+            autocompletion=completion.descriptors,
+            rich_help_panel=_METHOD,
+        ),
+    ] = None
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SECTION.KEY=VALUE",
+            help="A setting of features or matching, as for vo run; repeatable.",
+            rich_help_panel=_METHOD,
+        ),
+    ] = None
+    compare: Annotated[
+        str | None,
+        typer.Option(
+            metavar="METHODS",
+            help="Compare methods, such as orb,sift,fast+brisk,sift/flann,klt, or all: by the "
+            "ground truth of a recording, by --homography, or in one image.",
+            rich_help_panel=_COMPARISON,
+        ),
+    ] = None
+    gaps: Annotated[
+        str,
+        typer.Option(
+            metavar="N,N",
+            help="Frames between the images of a pair.",
+            rich_help_panel=_COMPARISON,
+        ),
+    ] = "1,5,15,30"
+    pairs: Annotated[
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Number of pairs for each gap.", rich_help_panel=_COMPARISON
+        ),
+    ] = 8
+    homography: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="3 x 3 matrix that takes pixels of TARGET to those of SECOND, as text (HPatches).",
+            rich_help_panel=_COMPARISON,
+        ),
+    ] = None
+    frame: Annotated[
+        int | None,
+        typer.Option(
+            "--frame",
+            min=0,
+            metavar="N",
+            help="Frame of the recording to show; its left image is used.",
+            show_default="0",
+            rich_help_panel=options.INPUT,
+        ),
+    ] = None
+    reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Draw the features of an image to this PNG file, or plot the comparison of a "
+            "recording (.png, .pdf, .svg).",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None
 
 
 def features_command(
-    target: Target,
-    second: Second = None,
-    detector: Detector = None,
-    descriptor: Descriptor = None,
-    settings: Settings = None,
-    compare: Compare = None,
-    gaps: Gaps = "1,5,15,30",
-    pairs: Pairs = 8,
-    homography: Homography = None,
-    frame: FrameNumber = None,
-    calibration: options.Calibration = None,
-    format: options.Format = None,
-    topic: options.Topics = None,
-    json_output: options.Json = False,
-    picture: Picture = None,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    request: Request,
+    printing: options.Printing,
 ) -> None:
     """Detect features in an image or a frame, or compare methods of matching.
 
@@ -141,34 +135,11 @@ def features_command(
 
       vo features 1.ppm 2.ppm --homography H_1_2 --compare orb,sift
     """
-    from vo.cli.console import standard_error
-    from vo.cli.features_run import Request, run_request
-    from vo.cli.progress import warnings_on
+    from vo.cli.features_run import run_request
     from vo.outputs.results.output_paths import refuse_to_overwrite
 
-    refuse_to_overwrite((target, second, calibration, homography), (picture,))
-    request = Request(
-        target=target,
-        second=second,
-        detector=detector,
-        descriptor=descriptor,
-        settings=tuple(settings or ()),
-        compare=compare,
-        gaps=gaps,
-        pairs=pairs,
-        homography=homography,
-        frame=frame,
-        calibration=calibration,
-        format=format,
-        topics=tuple(topic or ()),
-        picture=picture,
-    )
-    errors = standard_error()
-    with warnings_on(errors, quiet=quiet):
-        result = run_request(request, standard_error(quiet=quiet))
-    if json_output:
-        from vo.cli.echo import echo_json
-
-        echo_json(result.to_dict())
-    elif not quiet:
-        result.show()
+    inputs = (request.target, request.second, request.reading.calibration, request.homography)
+    refuse_to_overwrite(inputs, (request.picture,))
+    with printing.warnings():
+        result = run_request(request, printing.errors)
+    printing.show(result.to_dict, result.show)

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from vo.base.config import Config, load_config
-from vo.base.errors import CalibrationError, ConfigError
+from vo.base.errors import ConfigError
 from vo.base.feature_settings import OWN_NETWORK
 from vo.cli.features_table import FeaturesResult
+from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
 from vo.engine.features.detectors import DETECTORS
 from vo.engine.features.opencv import describe_missing
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
-from vo.recordings.sources.uncalibrated import open_uncalibrated
 from vo.tools.laboratory.comparison import compare, one_thread
 from vo.tools.laboratory.examination import examine
 from vo.tools.laboratory.images import GreyImage, is_image, read_frame, read_homography, read_image
@@ -27,29 +26,12 @@ from vo.tools.laboratory.pictures import check_picture, check_plot, save_compari
 from vo.tools.laboratory.recording_pairs import plan_pairs
 from vo.tools.laboratory.repeatability import score_plane
 
+if TYPE_CHECKING:
+    from vo.cli.features import Request
+
 _log = logging.getLogger(__name__)
 _SECTIONS = ("features.", "matching.")
 _ALL = "all"
-
-
-@dataclass(frozen=True)
-class Request:
-    """Arguments and options of the command."""
-
-    target: Path
-    second: Path | None
-    detector: str | None
-    descriptor: str | None
-    settings: tuple[str, ...]
-    compare: str | None
-    gaps: str
-    pairs: int
-    homography: Path | None
-    frame: int | None
-    calibration: Path | None
-    format: str | None
-    topics: tuple[str, ...]
-    picture: Path | None
 
 
 def run_request(request: Request, console: Console) -> FeaturesResult:
@@ -78,7 +60,7 @@ def _check(request: Request) -> None:
         raise ConfigError(f"--frame is of a recording; {request.target} is an image")
     if request.compare is not None and (request.detector or request.descriptor):
         raise ConfigError("use --detector and --descriptor without --compare, which names both")
-    for text in request.settings:
+    for text in request.settings or ():
         if not text.startswith(_SECTIONS):
             raise ConfigError(
                 f"--set {text} has no effect on vo features; give features.… or matching.…"
@@ -86,7 +68,7 @@ def _check(request: Request) -> None:
 
 
 def _methods(request: Request) -> list[Method]:
-    config = load_config("default", list(request.settings))
+    config = load_config("default", request.settings or [])
     if request.compare is None:
         detector = request.detector or config.features.detector
         descriptor = request.descriptor or config.features.descriptor
@@ -150,15 +132,7 @@ def _image(request: Request) -> tuple[GreyImage, int | None]:
     if is_image(request.target):
         return read_image(request.target), None
     number = request.frame or 0
-    recording: Recording
-    try:
-        recording = _open(request)
-    except CalibrationError:
-        if request.calibration is not None:
-            raise
-        recording = open_uncalibrated(
-            request.target, format=request.format, topics=request.topics, mode="mono"
-        )
+    recording, _ = open_one_camera(request.target, request.reading)
     frame = read_frame(recording, number)
     return GreyImage(frame.image0, frame.mask), number
 
@@ -167,17 +141,17 @@ def _open(request: Request) -> Recording:
     """The recording, without the right images of a pair, which are not used."""
     source = open_source(
         request.target,
-        format=request.format,
-        calibration=request.calibration,
-        topics=request.topics,
+        format=request.reading.format,
+        calibration=request.reading.calibration,
+        topics=request.reading.topics,
     )
     if not source.rig.is_stereo:
         return source
     return open_source(
         request.target,
-        format=request.format,
-        calibration=request.calibration,
-        topics=request.topics,
+        format=request.reading.format,
+        calibration=request.reading.calibration,
+        topics=request.reading.topics,
         mode="mono",
     )
 

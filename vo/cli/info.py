@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo_json
+from vo.cli.blocks import Only
 
 Picture = Annotated[
     Path | None,
@@ -30,16 +30,13 @@ AllImages = Annotated[
 
 def info_command(
     source: options.Recording,
+    *,
     picture: Picture = None,
-    json_output: options.Json = False,
+    printing: options.Printing,
     all_images: AllImages = False,
-    calibration: options.Calibration = None,
-    format: options.Format = None,
-    topic: options.Topics = None,
-    right_offset: options.RightOffset = None,
-    mode: options.Mode = options.ModeChoice.AUTO,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    reading: Annotated[
+        options.Reading, Only("calibration", "format", "topic", "right_offset", "mode")
+    ],
 ) -> None:
     """Show what a recording contains, its problems, and how to run it.
 
@@ -57,23 +54,14 @@ def info_command(
 
     from vo.cli.console import standard_error
     from vo.cli.info_table import print_findings, print_report
-    from vo.cli.progress import details_on
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.tools.inspection.opening import open_leniently
     from vo.tools.inspection.report import DEFAULT_IMAGES, inspect
 
-    refuse_to_overwrite((source, calibration), (picture,))
+    refuse_to_overwrite((source, reading.calibration), (picture,))
 
-    errors = standard_error()
-    with details_on(errors), standard_error(quiet=quiet).status("checking images"):
-        opened = open_leniently(
-            source,
-            format=format,
-            calibration=calibration,
-            mode=mode.value,
-            topics=topic or (),
-            right_offset_ns=options.offset_ns(right_offset),
-        )
+    with printing.details(), printing.errors.status("checking images"):
+        opened = open_leniently(source, **reading.keywords)
         report = inspect(opened, None if all_images else DEFAULT_IMAGES)
         if not opened.cameras:
             picture = None  # the report contains the reason
@@ -81,11 +69,12 @@ def info_command(
             from vo.tools.inspection.contact_sheet import write_contact_sheet
 
             write_contact_sheet(picture, opened)
-    if json_output:
-        echo_json(asdict(report) | {"picture": None if picture is None else str(picture)})
-    elif quiet:
-        print_findings([f for f in report.findings if f.level != "note"], errors)
-    else:
-        print_report(report, picture)
+    written = None if picture is None else str(picture)
+    printing.show(
+        lambda: asdict(report) | {"picture": written}, lambda: print_report(report, picture)
+    )
+    if printing.quiet and not printing.json_output:
+        findings = [f for f in report.findings if f.level != "note"]
+        print_findings(findings, standard_error())
     if any(finding.level == "error" for finding in report.findings):
         raise typer.Exit(1)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.echo import echo
 
 
 class MapAction(StrEnum):
@@ -65,12 +65,11 @@ Vocabulary = Annotated[
 def map_command(
     action: Action,
     files: Files,
+    *,
     output: Output = None,
     world: World = None,
     vocabulary: Vocabulary = None,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Check a map file, export it, or merge two.
 
@@ -97,10 +96,7 @@ def map_command(
     if (action is MapAction.INFO) != (output is None):
         raise ConfigError("-o FILE belongs to `vo map export` and `vo map merge`, which need it")
     result = _do(action, files, output, world, vocabulary)
-    if json_output:
-        echo_json(result)
-    elif not quiet:
-        _print(result)
+    printing.show(lambda: result, lambda: _print(result))
 
 
 def _do(

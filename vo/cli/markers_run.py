@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -13,16 +13,14 @@ from vo.base.errors import CalibrationError, ConfigError
 from vo.base.printable import counted
 from vo.base.types import Bytes, Camera
 from vo.cli.echo import echo, echo_json
+from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
 from vo.engine.markers.dictionaries import AUTO, CANDIDATES, DEFAULT_TO_PRINT, dictionary_name
 from vo.engine.markers.records import FrameMarkers
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
-from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.single_image import read_single_image
-from vo.recordings.sources.source import Recording
-from vo.recordings.sources.uncalibrated import open_uncalibrated
 from vo.tools.markers.boards import CharucoBoard, MarkerBoard, check_length, make_charuco, make_grid
 from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
@@ -31,34 +29,11 @@ from vo.tools.markers.printing import parse_ids, save_sheet
 from vo.tools.markers.search import MarkerFinder, find_too_small
 from vo.tools.markers.table import frame_record, write_csv
 
+if TYPE_CHECKING:
+    from vo.cli.markers import Request
+
 _log = logging.getLogger(__name__)
 _FRAMES_FOR_AUTO = 12  # in which the dictionary is searched, spread over the recording
-
-
-class BoardRequest(NamedTuple):
-    """`--board` and its dimensions."""
-
-    kind: str
-    columns: int
-    rows: int
-    gap_m: float
-    square_m: float
-
-
-class Request(NamedTuple):
-    """Arguments and options of the command."""
-
-    source: str
-    length_m: float | None
-    dictionary: str
-    refinement: str
-    board: BoardRequest | None
-    calibration: Path | None
-    format: str | None
-    topics: tuple[str, ...]
-    frames: tuple[int, int | None, int]
-    picture: Path | None
-    csv: Path | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +57,15 @@ class MarkersResult:
         }
 
 
-def write_sheet(
-    path: Path, dictionary: str, ids: str, length_m: float | None, *, is_json: bool
-) -> None:
+def write_sheet(request: Request, *, is_json: bool) -> None:
     """Write markers to print; raises `VoError`."""
+    path, length_m = request.sheet, request.length
+    assert path is not None
     if length_m is None:
         raise ConfigError("--print needs --length, the side of the black square, such as 0.16")
-    name = dictionary_name(dictionary)
+    name = dictionary_name(request.dictionary)
     name = DEFAULT_TO_PRINT if name == AUTO else name
-    numbers = parse_ids(ids)
+    numbers = parse_ids(request.ids)
     save_sheet(path, name, numbers, length_m)
     if is_json:
         echo_json({"output": str(path), "dictionary": name, "ids": numbers, "length_m": length_m})
@@ -101,15 +76,15 @@ def write_sheet(
 
 def run_request(request: Request, console: Console) -> MarkersResult:
     """Find the markers; raises `VoError`."""
-    if request.length_m is not None:
-        check_length(request.length_m)
+    if request.length is not None:
+        check_length(request.length)
     if request.picture is not None:
         check_picture(request.picture)
     name = dictionary_name(request.dictionary)
-    is_image = _is_image(request.source)
-    read = [Path(request.source), request.calibration]
-    if is_image and ":" in request.source:
-        read.append(Path(request.source.rpartition(":")[0]))
+    is_image = _is_image(request.target)
+    read = [Path(request.target), request.reading.calibration]
+    if is_image and ":" in request.target:
+        read.append(Path(request.target.rpartition(":")[0]))
     refuse_to_overwrite(read, [request.picture, request.csv])
     work = _find_in_image if is_image else _find_in_recording
     return work(request, name, console)
@@ -123,16 +98,16 @@ def _is_image(source: str) -> bool:
 
 
 def _find_in_image(request: Request, name: str, console: Console) -> MarkersResult:
-    given = read_single_image(request.source)
+    given = read_single_image(request.target)
     image, camera = given.image, given.camera
     height, width = image.shape
-    if request.calibration is not None:
-        camera = read_calibration(request.calibration, (width, height)).rig.cam0
+    if request.reading.calibration is not None:
+        camera = read_calibration(request.reading.calibration, (width, height)).rig.cam0
     camera = _checked_camera(camera, request, (width, height))
-    detector = make_detector(name, Refinement(request.refinement), [image], request.source)
+    detector = make_detector(name, Refinement(request.refinement.value), [image], request.target)
     if detector is None:
         _explain_nothing(image, name, None)
-        return MarkersResult(request.source, None, request.length_m, (), ())
+        return MarkersResult(request.target, None, request.length, (), ())
     finder = _finder(request, detector, camera)
     frame = finder.find(image)
     if not frame.markers:
@@ -141,15 +116,16 @@ def _find_in_image(request: Request, name: str, console: Console) -> MarkersResu
 
 
 def _find_in_recording(request: Request, name: str, console: Console) -> MarkersResult:
-    recording, camera = _open(request)
-    start, end, stride = request.frames
+    recording, is_calibrated = open_one_camera(request.target, request.reading)
+    camera = recording.rig.cam0 if is_calibrated else None
+    start, end, stride = request.frames.start, request.frames.end, request.frames.stride
     stop = len(recording) if end is None else min(end, len(recording))
     step = max(1, (stop - start) // _FRAMES_FOR_AUTO)
     few = (frame.image0 for frame in recording.frames(start, stop, step))
-    detector = make_detector(name, Refinement(request.refinement), few, request.source)
+    detector = make_detector(name, Refinement(request.refinement.value), few, request.target)
     if detector is None:
-        _log.warning("%s shows no marker of any dictionary in a sample of frames", request.source)
-        return MarkersResult(request.source, None, request.length_m, (), ())
+        _log.warning("%s shows no marker of any dictionary in a sample of frames", request.target)
+        return MarkersResult(request.target, None, request.length, (), ())
     size = (recording.rig.cam0.width, recording.rig.cam0.height)
     camera = _checked_camera(camera, request, size)
     finder = _finder(request, detector, camera)
@@ -162,7 +138,7 @@ def _find_in_recording(request: Request, name: str, console: Console) -> Markers
             if len(found[-1].markers) > max((len(f.markers) for f in found[:-1]), default=-1):
                 image = frame.image0
     if not any(frame.markers for frame in found):
-        _log.warning("%s shows no marker of %s", request.source, detector.name)
+        _log.warning("%s shows no marker of %s", request.target, detector.name)
     return _finished(request, detector.name, consistent(found), image, camera)
 
 
@@ -179,59 +155,45 @@ def _finished(
     if request.picture is not None and image is not None:
         most = max(frames, key=lambda frame: len(frame.markers))
         board = request.board
-        length_m = request.length_m or (0.05 if board is None else board.square_m)
+        length_m = request.length or (0.05 if board.kind is None else board.square)
         save_picture(request.picture, draw_markers(image, most, camera, length_m))
         written.append(request.picture)
     if request.csv is not None:
         write_csv(request.csv, frames)
         written.append(request.csv)
-    return MarkersResult(request.source, name, request.length_m, tuple(frames), tuple(written))
+    return MarkersResult(request.target, name, request.length, tuple(frames), tuple(written))
 
 
 def _finder(request: Request, detector: MarkerDetector, camera: Camera | None) -> MarkerFinder:
     board: MarkerBoard | None = None
     wanted = request.board
-    if wanted is not None and wanted.kind == "grid":
-        if request.length_m is None:
+    if wanted.kind == "grid":
+        if request.length is None:
             raise ConfigError("--board grid needs --length, the side of a marker")
-        size = (wanted.columns, wanted.rows, request.length_m, wanted.gap_m)
+        size = (wanted.columns, wanted.rows, request.length, wanted.gap)
         board = make_grid(*size, detector.name)
-    elif wanted is not None:
-        marker_m = request.length_m or 0.75 * wanted.square_m
-        size = (wanted.columns, wanted.rows, wanted.square_m, marker_m)
+    elif wanted.kind == "charuco":
+        marker_m = request.length or 0.75 * wanted.square
+        size = (wanted.columns, wanted.rows, wanted.square, marker_m)
         board = CharucoBoard(make_charuco(*size, detector.name))
-    return MarkerFinder(detector, request.length_m, camera, board)
-
-
-def _open(request: Request) -> tuple[Recording, Camera | None]:
-    recording: Recording
-    keywords: dict[str, Any] = {"format": request.format, "topics": request.topics}
-    try:
-        recording = open_source(
-            request.source, calibration=request.calibration, mode="mono", **keywords
-        )
-    except CalibrationError:
-        if request.calibration is not None:
-            raise
-        return open_uncalibrated(request.source, mode="mono", **keywords), None
-    return recording, recording.rig.cam0
+    return MarkerFinder(detector, request.length, camera, board)
 
 
 def _checked_camera(
     camera: Camera | None, request: Request, size: tuple[int, int]
 ) -> Camera | None:
     if camera is None:
-        if request.length_m is not None or request.board is not None:
+        if request.length is not None or request.board.kind is not None:
             _log.warning(
                 "%s has no calibration: ids and corners are found, but no poses; give "
                 "--calibration FILE",
-                request.source,
+                request.target,
             )
         return None
     if (camera.width, camera.height) != size:
         raise CalibrationError(
             f"the calibration is for images of {camera.width} x {camera.height}, and those of "
-            f"{request.source} are {size[0]} x {size[1]}"
+            f"{request.target} are {size[0]} x {size[1]}"
         )
     return camera
 

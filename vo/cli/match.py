@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,6 @@ from typing import Annotated
 import typer
 
 from vo.cli import completion, options
-from vo.cli.echo import echo_json
 
 _FEATURES, _GEOMETRY = "Features and matching", "Geometry"
 
@@ -55,94 +55,6 @@ Image = Annotated[
     ),
 ]
 OtherImage = Annotated[str, typer.Argument(metavar="B", help="Second image.")]
-Detector = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="What finds features: orb, sift, fast, shi_tomasi, akaze, ... (docs/features.md).",
-        show_default="orb",
-        autocompletion=completion.detectors,
-        rich_help_panel=_FEATURES,
-    ),
-]
-Descriptor = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="What describes them: rbrief, sift, rootsift, ...",
-        show_default="the detector's own",
-        autocompletion=completion.descriptors,
-        rich_help_panel=_FEATURES,
-    ),
-]
-MatcherOption = Annotated[
-    Matcher | None,
-    typer.Option(
-        "--matcher",
-        help="Exact search with or without a ratio test (brute_force, mnn), approximate search "
-        "(flann, ann), exact search and the support of neighbours instead of a ratio test (gms), "
-        "or a learned network.",
-        show_default="brute_force, for learned features mnn",
-        rich_help_panel=_FEATURES,
-    ),
-]
-Ratio = Annotated[
-    float | None,
-    typer.Option(
-        metavar="RATIO",
-        help="Maximum ratio of the best to the second-best distance.",
-        show_default="0.85",
-        rich_help_panel=_FEATURES,
-    ),
-]
-CrossCheck = Annotated[
-    bool,
-    typer.Option(
-        "--cross-check/--no-cross-check",
-        help="Keep only matches that are the best in both directions.",
-        rich_help_panel=_FEATURES,
-    ),
-]
-ConfigOption = Annotated[
-    str,
-    typer.Option(
-        "--config",
-        metavar="PRESET|FILE",
-        help="Settings: a preset or a YAML file.",
-        autocompletion=completion.presets,
-        rich_help_panel=_FEATURES,
-    ),
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override a setting, such as features.count=3000; repeatable.",
-        rich_help_panel=_FEATURES,
-    ),
-]
-ModelOption = Annotated[
-    Model,
-    typer.Option(
-        "--model",
-        help="Fundamental or essential matrix (needs a calibration), homography, or the one that "
-        "explains the matches best.",
-        rich_help_panel=_GEOMETRY,
-    ),
-]
-MethodOption = Annotated[
-    Method,
-    typer.Option(
-        "--method", help="How it is found among wrong matches.", rich_help_panel=_GEOMETRY
-    ),
-]
-Threshold = Annotated[
-    float,
-    typer.Option(
-        metavar="PX", help="Maximum Sampson distance of an inlier.", rich_help_panel=_GEOMETRY
-    ),
-]
 Calibration = Annotated[
     Path | None,
     typer.Option(
@@ -173,29 +85,111 @@ Epipolar = Annotated[
 ]
 
 
+@dataclass(frozen=True, kw_only=True)
+class PairChoice:
+    """Features, matching and geometry."""
+
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What finds features: orb, sift, fast, shi_tomasi, akaze, ... (docs/features.md).",
+            show_default="orb",
+            autocompletion=completion.detectors,
+            rich_help_panel=_FEATURES,
+        ),
+    ] = None
+    descriptor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What describes them: rbrief, sift, rootsift, ...",
+            show_default="the detector's own",
+            autocompletion=completion.descriptors,
+            rich_help_panel=_FEATURES,
+        ),
+    ] = None
+    matcher: Annotated[
+        Matcher | None,
+        typer.Option(
+            "--matcher",
+            help="Exact search with or without a ratio test (brute_force, mnn), approximate search "
+            "(flann, ann), exact search and the support of neighbours instead of a ratio test "
+            "(gms), or a learned network.",
+            show_default="brute_force, for learned features mnn",
+            rich_help_panel=_FEATURES,
+        ),
+    ] = None
+    ratio: Annotated[
+        float | None,
+        typer.Option(
+            metavar="RATIO",
+            help="Maximum ratio of the best to the second-best distance.",
+            show_default="0.85",
+            rich_help_panel=_FEATURES,
+        ),
+    ] = None
+    cross_check: Annotated[
+        bool,
+        typer.Option(
+            "--cross-check/--no-cross-check",
+            help="Keep only matches that are the best in both directions.",
+            rich_help_panel=_FEATURES,
+        ),
+    ] = True
+    config: Annotated[
+        str,
+        typer.Option(
+            "--config",
+            metavar="PRESET|FILE",
+            help="Settings: a preset or a YAML file.",
+            autocompletion=completion.presets,
+            rich_help_panel=_FEATURES,
+        ),
+    ] = "default"
+    set_values: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override a setting, such as features.count=3000; repeatable.",
+            rich_help_panel=_FEATURES,
+        ),
+    ] = None
+    model: Annotated[
+        Model,
+        typer.Option(
+            "--model",
+            help="Fundamental or essential matrix (needs a calibration), homography, or the one "
+            "that explains the matches best.",
+            rich_help_panel=_GEOMETRY,
+        ),
+    ] = Model.AUTO
+    method: Annotated[
+        Method,
+        typer.Option(
+            "--method", help="How it is found among wrong matches.", rich_help_panel=_GEOMETRY
+        ),
+    ] = Method.USAC_ACCURATE
+    threshold: Annotated[
+        float,
+        typer.Option(
+            metavar="PX", help="Maximum Sampson distance of an inlier.", rich_help_panel=_GEOMETRY
+        ),
+    ] = 1.5
+
+
 def match_command(
     first: Image,
     second: OtherImage,
+    *,
     calibration: Calibration = None,
     right: Right = False,
-    mask: options.Masks = None,
-    ignore: options.Ignored = None,
-    roi: options.Regions = None,
-    detector: Detector = None,
-    descriptor: Descriptor = None,
-    matcher: MatcherOption = None,
-    ratio: Ratio = None,
-    cross_check: CrossCheck = True,
-    config: ConfigOption = "default",
-    set_values: Set = None,
-    model: ModelOption = Model.AUTO,
-    method: MethodOption = Method.USAC_ACCURATE,
-    threshold: Threshold = 1.5,
+    masks: options.MaskOptions,
+    given: PairChoice,
     picture: Picture = None,
     epipolar: Epipolar = False,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Match two images, and find the geometry and the motion between them.
 
@@ -212,12 +206,10 @@ def match_command(
 
     Exit status: 0 a model was found, 1 none, or an error, 2 wrong usage.
     """
-    import json
-
     from vo.base.config import load_config
     from vo.base.errors import ConfigError
     from vo.cli.console import standard_error
-    from vo.cli.progress import details_on
+    from vo.cli.match_table import print_failures, print_pair
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.recordings.formats.calibration import read_calibration
     from vo.recordings.sources.single_image import read_single_image
@@ -228,33 +220,32 @@ def match_command(
         pair_masks,
         pair_options,
     )
+    from vo.tools.pairs.pair_record import pair_record
 
     if epipolar and picture is None:
         raise ConfigError("--epipolar needs --picture FILE, where the lines are drawn")
     read = [text for each in (first, second) for text in (each, each.rpartition(":")[0])]
     refuse_to_overwrite([*(Path(text) for text in read if text), calibration], [picture])
-    masks = {"files": mask, "ignore": ignore, "roi": roi}
-    overrides = [f"masks.{key}={json.dumps(texts)}" for key, texts in masks.items() if texts]
-    settings = load_config(config, [*(set_values or []), *overrides])
-    with details_on(standard_error()), standard_error(quiet=quiet).status("matching"):
-        given = (read_single_image(first), read_single_image(second, right=right))
-        images = (given[0].image, given[1].image)
+    settings = load_config(given.config, [*(given.set_values or []), *masks.settings])
+    with printing.details(), printing.errors.status("matching"):
+        shots = (read_single_image(first), read_single_image(second, right=right))
+        images = (shots[0].image, shots[1].image)
         size = (images[0].shape[1], images[0].shape[0])
         rig = None if calibration is None else read_calibration(calibration, size).rig
-        cameras = pair_cameras(rig, (given[0].camera, given[1].camera), right=right)
-        names = (given[0].name, given[1].name)
+        cameras = pair_cameras(rig, (shots[0].camera, shots[1].camera), right=right)
+        names = (shots[0].name, shots[1].name)
         check_cameras(cameras, images, names)
         chosen = pair_options(
             settings,
             {
-                "detector": detector,
-                "descriptor": descriptor,
-                "matcher": None if matcher is None else matcher.value,
-                "ratio": ratio,
-                "cross_check": None if cross_check else False,
-                "model": model.value,
-                "method": method.value,
-                "threshold_px": threshold,
+                "detector": given.detector,
+                "descriptor": given.descriptor,
+                "matcher": None if given.matcher is None else given.matcher.value,
+                "ratio": given.ratio,
+                "cross_check": None if given.cross_check else False,
+                "model": given.model.value,
+                "method": given.method.value,
+                "threshold_px": given.threshold,
             },
             cameras,
         )
@@ -263,17 +254,12 @@ def match_command(
             from vo.tools.pairs.pair_picture import write_pair_picture
 
             write_pair_picture(picture, images, pair, epipolar=epipolar)
-    if json_output:
-        from vo.tools.pairs.pair_record import pair_record
-
-        written = None if picture is None else str(picture)
-        echo_json(pair_record(pair, chosen, names) | {"picture": written})
-    else:
-        from vo.cli.match_table import print_failures, print_pair
-
-        if quiet:
-            print_failures(pair, standard_error())
-        else:
-            print_pair(pair, chosen, names, picture)
+    written = None if picture is None else str(picture)
+    printing.show(
+        lambda: pair_record(pair, chosen, names) | {"picture": written},
+        lambda: print_pair(pair, chosen, names, picture),
+    )
+    if printing.quiet and not printing.json_output:
+        print_failures(pair, standard_error())
     if pair.fit is None:
         raise typer.Exit(1)

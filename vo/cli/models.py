@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.echo import echo
 
 if TYPE_CHECKING:
     from vo.engine.learned.catalog import Model
@@ -55,13 +55,12 @@ AcceptLicence = Annotated[
 
 
 def models_command(
+    *,
     action: ActionArgument = Action.LIST,
     names: Names = None,
     source: Source = None,
     accept_licence: AcceptLicence = False,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Get and check the files of learned features.
 
@@ -90,11 +89,8 @@ def models_command(
     if not models:
         here = [model for model in MODELS.values() if path_of(model).is_file()]
         models = list(MODELS.values()) if action is Action.LIST else here
-    rows = [_do(action, model, source, accept_licence, quiet) for model in models]
-    if json_output:
-        echo_json(rows)
-    elif not quiet:
-        _print(action, rows)
+    rows = [_do(action, model, source, accept_licence, printing.quiet) for model in models]
+    printing.show(lambda: rows, lambda: _print(action, rows))
 
 
 def _do(

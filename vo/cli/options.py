@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from vo.cli import completion
+from vo.cli.echo import echo_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 # Headings of the options in `--help`.
 INPUT, OUTPUT, ODOMETRY = "Input", "Output", "Odometry"
@@ -214,3 +222,92 @@ Verbose = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a recording is opened."""
+
+    calibration: Calibration = None
+    mode: Mode = ModeChoice.AUTO
+    topic: Topics = None
+    right_offset: RightOffset = None
+    format: Format = None
+    side_by_side: SideBySide = False
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """`--topic`, without any if it was not given."""
+        return tuple(self.topic or ())
+
+    @property
+    def right_offset_ns(self) -> int | None:
+        """`--right-offset` in nanoseconds, None if it was not given."""
+        return offset_ns(self.right_offset)
+
+    @property
+    def keywords(self) -> dict[str, Any]:
+        """Arguments of `open_source` and others that open recordings."""
+        names = ("calibration", "format", "topics", "right_offset_ns")
+        return {"mode": self.mode.value} | {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames to use."""
+
+    start: Start = 0
+    end: End = None
+    stride: Stride = 1
+
+
+@dataclass(frozen=True)
+class MaskOptions:
+    """Areas of the images that are not used."""
+
+    mask: Masks = None
+    ignore: Ignored = None
+    roi: Regions = None
+
+    @property
+    def settings(self) -> list[str]:
+        """The settings that they override."""
+        given = {"files": self.mask, "ignore": self.ignore, "roi": self.roi}
+        return [f"masks.{key}={json.dumps(texts)}" for key, texts in given.items() if texts]
+
+
+@dataclass(frozen=True)
+class Printing:
+    """What a command prints of its result and its progress."""
+
+    json_output: Json = False
+    quiet: Quiet = False
+    verbose: Verbose = False
+
+    def show(self, record: Callable[[], Any], text: Callable[[], None]) -> None:
+        """Print a result: its record with --json, nothing with --quiet, else its text."""
+        if self.json_output:
+            echo_json(record())
+        elif not self.quiet:
+            text()
+
+    @property
+    def errors(self) -> Console:
+        """The console on standard error for progress, without output with --quiet."""
+        from vo.cli.console import standard_error
+
+        return standard_error(quiet=self.quiet)
+
+    def warnings(self) -> AbstractContextManager[None]:
+        """Print warnings of the library as lines on standard error."""
+        from vo.cli.console import standard_error
+        from vo.cli.progress import warnings_on
+
+        return warnings_on(standard_error(), quiet=self.quiet)
+
+    def details(self) -> AbstractContextManager[None]:
+        """Print what the library reads and decides, with --verbose."""
+        from vo.cli.console import standard_error
+        from vo.cli.progress import details_on
+
+        return details_on(standard_error())

@@ -103,6 +103,29 @@ class LineProgress:
 
 
 @contextmanager
+def frame_bar(
+    console: Console, first: str, then: str = ""
+) -> Iterator[tuple[bars.Progress, Callable[[int, int], None]]]:
+    """A bar on a terminal, and a function that is called with the frames done and their total.
+
+    Args:
+        console: where it is shown.
+        first: what is done before the first frame.
+        then: what is done with frames, if it is something else.
+    """
+    columns = ("{task.description}", bars.BarColumn(), bars.MofNCompleteColumn())
+    times = (bars.TimeElapsedColumn(), bars.TimeRemainingColumn())
+    is_hidden = console.quiet or not console.is_terminal
+    with bars.Progress(*columns, *times, console=console, disable=is_hidden, transient=True) as bar:
+        task = bar.add_task(first, total=None)
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, description=then or first, completed=done, total=total)
+
+        yield bar, show
+
+
+@contextmanager
 def counting(console: Console, title: str, total: int) -> Iterator[Callable[[str], None]]:
     """A bar on a terminal; the function that it gives is called with what each step is about."""
     if not console.is_terminal:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import completion, options
+from vo.cli.blocks import Only
 
 _OBJECT = "Objects"
 
@@ -22,94 +24,85 @@ class RecognizeAction(StrEnum):
     FIND = "find"
 
 
-Action = Annotated[
-    RecognizeAction,
-    typer.Argument(
-        metavar="ACTION",
-        help="add NAME IMAGE…: store an object; list: what is stored; remove NAME: forget an "
-        "object; find IMAGE or find RECORDING: search for all objects.",
-    ),
-]
-Words = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="WORD", help="Name and images, name, or image or recording."),
-]
-Database = Annotated[
-    Path,
-    typer.Option(
-        "--database",
-        "-d",
-        metavar="FILE",
-        help="Database of objects; the first add makes it.",
-        rich_help_panel=_OBJECT,
-    ),
-]
-Width = Annotated[
-    float | None,
-    typer.Option(
-        metavar="M",
-        help="Width in metres of what the first image shows, for poses (add).",
-        rich_help_panel=_OBJECT,
-    ),
-]
-Detector = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="What finds features, for a new database: sift, orb, akaze, aliked, … (add).",
-        show_default="sift",
-        autocompletion=completion.detectors,
-        rich_help_panel=_OBJECT,
-    ),
-]
-MinConfidence = Annotated[
-    float,
-    typer.Option(
-        min=0.0,
-        max=1.0,
-        metavar="P",
-        help="Report objects from this probability on (find).",
-        rich_help_panel=_OBJECT,
-    ),
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Draw outlines and names to this .png or .jpg file (find): of a recording, the frame "
-        "with most objects.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Csv = Annotated[
-    Path | None,
-    typer.Option(
-        "--csv",
-        metavar="FILE",
-        help="Write a line for each object of each frame (find).",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """Arguments and options of the command."""
+
+    action: Annotated[
+        RecognizeAction,
+        typer.Argument(
+            metavar="ACTION",
+            help="add NAME IMAGE…: store an object; list: what is stored; remove NAME: forget an "
+            "object; find IMAGE or find RECORDING: search for all objects.",
+        ),
+    ]
+    words: Annotated[
+        list[str],
+        typer.Argument(metavar="WORD", help="Name and images, name, or image or recording."),
+    ] = field(default_factory=list)
+    database: Annotated[
+        Path,
+        typer.Option(
+            "--database",
+            "-d",
+            metavar="FILE",
+            help="Database of objects; the first add makes it.",
+            rich_help_panel=_OBJECT,
+        ),
+    ] = Path("objects.vodb")
+    width: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Width in metres of what the first image shows, for poses (add).",
+            rich_help_panel=_OBJECT,
+        ),
+    ] = None
+    detector: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What finds features, for a new database: sift, orb, akaze, aliked, … (add).",
+            show_default="sift",
+            autocompletion=completion.detectors,
+            rich_help_panel=_OBJECT,
+        ),
+    ] = None
+    min_confidence: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            metavar="P",
+            help="Report objects from this probability on (find).",
+            rich_help_panel=_OBJECT,
+        ),
+    ] = 0.9
+    reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
+    frames: options.Frames
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Draw outlines and names to this .png or .jpg file (find): of a recording, the "
+            "frame with most objects.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None
+    csv: Annotated[
+        Path | None,
+        typer.Option(
+            "--csv",
+            metavar="FILE",
+            help="Write a line for each object of each frame (find).",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None
+    printing: options.Printing
 
 
 def recognize_command(
-    action: Action,
-    words: Words = None,
-    database: Database = Path("objects.vodb"),
-    width: Width = None,
-    detector: Detector = None,
-    min_confidence: MinConfidence = 0.9,
-    calibration: options.Calibration = None,
-    format: options.Format = None,
-    topic: options.Topics = None,
-    start: options.Start = 0,
-    end: options.End = None,
-    stride: options.Stride = 1,
-    picture: Picture = None,
-    csv: Csv = None,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    request: Request,
 ) -> None:
     """Find known, textured objects in images and recordings.
 
@@ -128,23 +121,7 @@ def recognize_command(
 
     Exit status: 0 done, 1 nothing was found, or an error, 2 wrong usage.
     """
-    from vo.cli.recognize_run import Request, run_request
+    from vo.cli.recognize_run import run_request
 
-    request = Request(
-        action=action.value,
-        words=tuple(words or ()),
-        database=database,
-        width_m=width,
-        detector=detector,
-        threshold=min_confidence,
-        calibration=calibration,
-        format=format,
-        topics=tuple(topic or ()),
-        frames=(start, end, stride),
-        picture=picture,
-        csv=csv,
-        json_output=json_output,
-        quiet=quiet,
-    )
     if not run_request(request):
         raise typer.Exit(1)

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.markup import escape
 
-from vo.base.errors import CalibrationError, ConfigError, InputError, OutputError
+from vo.base.errors import ConfigError, InputError, OutputError
 from vo.base.files.complete_file import complete_file
 from vo.base.types import Bytes, Camera
-from vo.cli.console import standard_error, standard_output
-from vo.cli.echo import echo, echo_json
-from vo.cli.progress import counting, warnings_on
+from vo.cli.console import standard_output
+from vo.cli.echo import echo
+from vo.cli.opening import open_one_camera
+from vo.cli.progress import counting
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
-from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.single_image import read_single_image
-from vo.recordings.sources.source import Recording
-from vo.recordings.sources.uncalibrated import open_uncalibrated
 from vo.tools.objects.database import DETECTOR, ObjectDatabase
 from vo.tools.objects.picture import check_picture, write_objects_picture
 from vo.tools.objects.tables import (
@@ -35,32 +32,15 @@ from vo.tools.objects.tables import (
 from vo.tools.objects.tracks import ObjectTracker, Track
 from vo.tools.pairs.pair_options import check_cameras
 
+if TYPE_CHECKING:
+    from vo.cli.recognize import Request
+
 _USAGE = {
     "add": "vo recognize add NAME IMAGE…",
     "list": "vo recognize list",
     "remove": "vo recognize remove NAME",
     "find": "vo recognize find IMAGE, or find RECORDING",
 }
-
-
-@dataclass(frozen=True)
-class Request:
-    """Arguments and options of the command."""
-
-    action: str
-    words: tuple[str, ...]
-    database: Path
-    width_m: float | None
-    detector: str | None
-    threshold: float
-    calibration: Path | None
-    format: str | None
-    topics: tuple[str, ...]
-    frames: tuple[int, int | None, int]
-    picture: Path | None
-    csv: Path | None
-    json_output: bool
-    quiet: bool
 
 
 def run_request(request: Request) -> bool:
@@ -89,14 +69,14 @@ def _check(request: Request) -> None:
     allowed = {"add": count >= 2, "list": count == 0, "remove": count == 1, "find": count == 1}
     if not allowed[request.action]:
         raise ConfigError(f"{count} words after {request.action}; give {_USAGE[request.action]}")
-    for name, given in (("--width", request.width_m), ("--detector", request.detector)):
+    for name, given in (("--width", request.width), ("--detector", request.detector)):
         if given is not None and request.action != "add":
             raise ConfigError(f"{name} belongs to `{_USAGE['add']}`")
     of_find = {
         "--picture": request.picture,
         "--csv": request.csv,
-        "--calibration": request.calibration,
-        "--format": request.format,
+        "--calibration": request.reading.calibration,
+        "--format": request.reading.format,
     }
     for name, value in of_find.items():
         if value is not None and request.action != "find":
@@ -119,7 +99,7 @@ def _add(request: Request) -> None:
     added = database.add(
         name,
         [each.image for each in images],
-        width_m=request.width_m,
+        width_m=request.width,
         image_names=[each.name for each in images],
     )
     database.save(request.database)
@@ -133,11 +113,9 @@ def _add(request: Request) -> None:
 
 
 def _report(request: Request, database: ObjectDatabase, text: str) -> None:
-    if request.json_output:
-        echo_json(_database_record(request.database, database))
-    elif not request.quiet:
-        count = len(database)
-        echo(f"{text}; {request.database} has {count} {'object' if count == 1 else 'objects'}")
+    count = len(database)
+    line = f"{text}; {request.database} has {count} {'object' if count == 1 else 'objects'}"
+    request.printing.show(lambda: _database_record(request.database, database), lambda: echo(line))
 
 
 def _database_record(path: Path, database: ObjectDatabase) -> dict[str, Any]:
@@ -149,9 +127,7 @@ def _database_record(path: Path, database: ObjectDatabase) -> dict[str, Any]:
 
 
 def _list(request: Request, database: ObjectDatabase) -> None:
-    if request.json_output:
-        echo_json(_database_record(request.database, database))
-    elif not request.quiet:
+    def text() -> None:
         echo(f"{request.database}: {len(database)} objects, features of {database.detector}")
         for each in database.objects:
             record = object_record(each)
@@ -161,10 +137,12 @@ def _list(request: Request, database: ObjectDatabase) -> None:
                 f"sides {record['sides']}{width}"
             )
 
+    request.printing.show(lambda: _database_record(request.database, database), text)
+
 
 def _find(request: Request) -> bool:
     target = request.words[0]
-    inputs = [Path(target), request.database, request.calibration]
+    inputs = [Path(target), request.database, request.reading.calibration]
     refuse_to_overwrite(inputs, [request.picture, request.csv])
     if request.picture is not None:
         check_picture(request.picture)
@@ -176,10 +154,9 @@ def _find(request: Request) -> bool:
     tracker = ObjectTracker()
     frames: list[FrameObjects] = []
     best: tuple[int, Bytes, FrameObjects] | None = None
-    errors = standard_error(quiet=request.quiet)
-    with warnings_on(standard_error(), quiet=request.quiet), _images(request, errors) as images:
+    with request.printing.warnings(), _images(request, request.printing.errors) as images:
         for number, stamp_ns, image, camera in images:
-            found = database.find(image, camera, request.threshold)
+            found = database.find(image, camera, request.min_confidence)
             tracks = tracker.update(number, found)
             frames.append(FrameObjects(number, stamp_ns, found, tracks))
             if best is None or len(found) > best[0]:
@@ -214,8 +191,8 @@ def _images(request: Request, errors: Any) -> Iterator[Iterator[_Image]]:
     if is_frame or (path.suffix.lower() in IMAGE_SUFFIXES and not path.is_dir()):
         yield iter([_single(request)])
         return
-    recording, is_calibrated = _open(request, path)
-    first, last, stride = request.frames
+    recording, is_calibrated = open_one_camera(path, request.reading)
+    first, last, stride = request.frames.start, request.frames.end, request.frames.stride
     camera = recording.rig.cam0 if is_calibrated else None
     total = len(range(first, min(len(recording), last or len(recording)), stride))
     with counting(errors, recording.name, total) as step:
@@ -231,48 +208,28 @@ def _images(request: Request, errors: Any) -> Iterator[Iterator[_Image]]:
 def _single(request: Request) -> _Image:
     given = read_single_image(request.words[0])
     camera = given.camera
-    if request.calibration is not None:
+    if request.reading.calibration is not None:
         height, width = given.image.shape
-        camera = read_calibration(request.calibration, (width, height)).rig.cam0
+        camera = read_calibration(request.reading.calibration, (width, height)).rig.cam0
         check_cameras((camera, camera), (given.image, given.image), (given.name, given.name))
     return 0, None, given.image, camera
 
 
-def _open(request: Request, path: Path) -> tuple[Recording, bool]:
-    """The left images of a recording, and whether their calibration is known."""
-    try:
-        return (
-            open_source(
-                path,
-                format=request.format,
-                calibration=request.calibration,
-                topics=request.topics,
-                mode="mono",
-            ),
-            True,
-        )
-    except CalibrationError:
-        if request.calibration is not None:
-            raise
-    opened = open_uncalibrated(path, format=request.format, topics=request.topics, mode="mono")
-    return opened, False
-
-
 def _show(request: Request, frames: Sequence[FrameObjects], tracks: Sequence[Track]) -> None:
-    if request.json_output:
-        echo_json(
-            {
-                "source": request.words[0],
-                "database": str(request.database),
-                "frames": [frame_record(frame) for frame in frames],
-                "tracks": [track_record(track) for track in tracks],
-                "picture": None if request.picture is None else str(request.picture),
-                "csv": None if request.csv is None else str(request.csv),
-            }
-        )
-        return
-    if request.quiet:
-        return
+    request.printing.show(
+        lambda: {
+            "source": request.words[0],
+            "database": str(request.database),
+            "frames": [frame_record(frame) for frame in frames],
+            "tracks": [track_record(track) for track in tracks],
+            "picture": None if request.picture is None else str(request.picture),
+            "csv": None if request.csv is None else str(request.csv),
+        },
+        lambda: _print(request, frames, tracks),
+    )
+
+
+def _print(request: Request, frames: Sequence[FrameObjects], tracks: Sequence[Track]) -> None:
     console = standard_output()
     if not tracks:
         console.print(f"no known object in {escape(request.words[0])}", soft_wrap=True)

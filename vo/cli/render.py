@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.echo import echo
 
 _PLACE = "Place of the model"
 
@@ -86,6 +86,7 @@ FrameNumber = Annotated[
 
 def render_command(
     run: Run,
+    *,
     model: Model = None,
     output: Output = Path("rendered.mp4"),
     at: At = None,
@@ -93,9 +94,7 @@ def render_command(
     size: Size = None,
     up: UpAxis = Up.Y,
     frame: FrameNumber = None,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Place a model in a recording, and draw it with the poses of a run.
 
@@ -110,8 +109,6 @@ def render_command(
 
       vo render out/ statue.obj -o statue.mp4 --in-front 40:6 --size 2
     """
-    from vo.cli.console import standard_error
-    from vo.cli.progress import warnings_on
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.tools.rendering.render import RenderOptions, render
 
@@ -119,15 +116,16 @@ def render_command(
         None if at is None else _numbers(at), _frame_and_length(in_front), size, up.value, frame
     )
     refuse_to_overwrite([model], [output])
-    with warnings_on(standard_error(), quiet=quiet):
+    with printing.warnings():
         done = render(run, output, model, place)
-    if json_output:
-        echo_json({**done._asdict(), "output": str(done.output), "at": list(done.at)})
-    elif not quiet:
-        position = ", ".join(f"{value:.3f}" for value in done.at)
-        echo(f"output      {done.output}")
-        echo(f"frames      {done.frames}, with the model in {done.with_model}")
-        echo(f"model at    {position} ({done.unit})")
+    position = ", ".join(f"{value:.3f}" for value in done.at)
+    text = (
+        f"output      {done.output}\n"
+        f"frames      {done.frames}, with the model in {done.with_model}\n"
+        f"model at    {position} ({done.unit})"
+    )
+    record = {**done._asdict(), "output": str(done.output), "at": list(done.at)}
+    printing.show(lambda: record, lambda: echo(text))
 
 
 def _numbers(text: str) -> tuple[float, float, float]:

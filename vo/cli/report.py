@@ -10,7 +10,7 @@ import typer
 
 from vo.base.printable import counted
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.echo import echo
 
 if TYPE_CHECKING:
     from vo.outputs.report.entry import Entry
@@ -48,13 +48,12 @@ Images = Annotated[bool, typer.Option(help="Include small images of notable fram
 
 def report_command(
     runs: Runs,
+    *,
     output: Output = None,
     truth: Truth = None,
     picture: Pictures = None,
     images: Images = True,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Write an HTML report of one or several runs.
 
@@ -71,28 +70,31 @@ def report_command(
       vo report out/mono out/stereo -o compared.html --picture figures/
     """
     from vo.base.extras import require
-    from vo.cli.console import standard_error
-    from vo.cli.progress import warnings_on
     from vo.outputs.report.page import make_page, write_page, write_plots
     from vo.outputs.report.plots.catalogue import draw_all
     from vo.outputs.results.output_paths import refuse_to_overwrite
 
     require("matplotlib", extra="report", what="reports")
     page = output or (runs[0] if len(runs) == 1 else Path()) / "report.html"
-    with warnings_on(standard_error(), quiet=quiet):
+    with printing.warnings():
         entries = _entries(runs, truth, images)
     recordings = [Path(str(entry.run.summary["source"])) for entry in entries]
     refuse_to_overwrite([*recordings, truth], [page, picture])
     figures = list(draw_all(entries))
     write_page(page, make_page(entries, figures))
     written = [] if picture is None else write_plots(picture, figures)
-    if json_output:
-        names = [str(path) for path in runs]
-        echo_json({"report": str(page), "pictures": list(map(str, written)), "runs": names})
-    elif not quiet:
+
+    def text() -> None:
         echo(f"report      {page}")
         if picture is not None:
             echo(f"pictures    {counted(len(written), 'file')} in {picture}")
+
+    record = {
+        "report": str(page),
+        "pictures": list(map(str, written)),
+        "runs": list(map(str, runs)),
+    }
+    printing.show(lambda: record, text)
 
 
 def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import sys
+import time
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
-from vo.cli.echo import echo_json
 from vo.cli.garbage import collection_paused
-from vo.cli.run_request import Outputs, RunRequest, Settings
-from vo.cli.run_status import exit_if_insufficient
+from vo.cli.run_options import Outputs
+from vo.cli.run_status import exit_if_insufficient, parse_share
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
 if TYPE_CHECKING:
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from vo.base.config import Config
+    from vo.cli.run import RunRequest
     from vo.outputs.results.summary import Summary
     from vo.outputs.streaming.sink import PoseSink
-    from vo.runs.progress import Progress
 
 
 def execute(request: RunRequest) -> None:
@@ -31,22 +32,35 @@ def execute(request: RunRequest) -> None:
         VoError: as `vo.runs.run_recording.run`, or a setting is invalid.
         typer.Exit: the run was interrupted, or its path is not what the request asks for.
     """
-    outputs = request.outputs
-    with stop_signals_as_interrupts(outputs.folder) as signals, ExitStack() as stack:
+    begun, fail_under = _process_start(), request.outputs.fail_under
+    min_share = None if fail_under is None else parse_share(fail_under)
+    quiet = request.printing.quiet
+    with stop_signals_as_interrupts(request.output) as signals, ExitStack() as stack:
         with collection_paused():
-            config, optimizer_process = _start_optimizer(request.settings, stack)
+            config, optimizer_process = _start_optimizer(request, stack)
             import vo.runs.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
             from vo.cli.console import standard_error
             from vo.cli.progress import make_progress, warnings_on
         console = standard_error()
-        stack.enter_context(warnings_on(console, quiet=outputs.quiet))
-        is_quiet = outputs.quiet or _is_terminal_for_poses(outputs)
-        progress = IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals)
-        summary = _run(request, config, optimizer_process, progress, stack)
+        stack.enter_context(warnings_on(console, quiet=quiet))
+        is_quiet = quiet or _is_terminal_for_poses(request.outputs)
+        options = {
+            "progress": IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals),
+            "profile_since": begun if request.outputs.profile else None,
+            "optimizer_process": optimizer_process,
+        }
+        summary = _run(request, config, options, stack)
         _print_result(summary, request, console)
-        if request.visualisation.serve:
+        if request.viewer.serve:
             signals.obey()  # one of them ends the viewer
-    exit_if_insufficient(summary, request.scripts.min_share)
+    exit_if_insufficient(summary, min_share)
+
+
+def _process_start() -> float:
+    """Start of this process on the clock of `time.perf_counter`."""
+    from vo.outputs.results.environment import process_age_s
+
+    return time.perf_counter() - (process_age_s() or 0.0)
 
 
 def _print_result(summary: Summary, request: RunRequest, errors: Console) -> None:
@@ -54,24 +68,27 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
     from vo.cli.console import standard_output
     from vo.cli.run_table import WrittenFiles, print_summary
 
-    outputs, rrd = request.outputs, request.visualisation.rrd
-    others = {"mcap": outputs.mcap, "colmap": outputs.colmap, "ply": outputs.ply}
-    files = WrittenFiles.of(
-        outputs.folder,
-        {"recording": rrd, **others, "raw frames": request.input.record, "map": outputs.save_map},
+    outputs, printing = request.outputs, request.printing
+    others = {
+        "recording": request.viewer.rrd,
+        "mcap": outputs.mcap,
+        "colmap": outputs.colmap,
+        "ply": outputs.ply,
+        "raw frames": request.live.record,
+        "map": outputs.save_map,
+    }
+    files = WrittenFiles.of(request.output, others)
+    record = {"output": str(request.output), "files": [str(path) for path in files.paths]}
+    console = errors if outputs.poses_on_standard_output else standard_output()
+    printing.show(
+        lambda: {**summary.to_dict(), **record}, lambda: print_summary(summary, files, console)
     )
-    if request.scripts.json:
-        paths = [str(path) for path in files.paths]
-        echo_json({**summary.to_dict(), "output": str(outputs.folder), "files": paths})
-    elif not outputs.quiet:
-        to_errors = outputs.poses_on_standard_output
-        print_summary(summary, files, errors if to_errors else standard_output())
-        return
-    for warning in summary.warnings:
-        errors.print(f"warning: {warning}", markup=False, soft_wrap=True)
+    if printing.json_output or printing.quiet:
+        for warning in summary.warnings:
+            errors.print(f"warning: {warning}", markup=False, soft_wrap=True)
 
 
-def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
+def _start_optimizer(request: RunRequest, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
     """Load the settings and start the optimizer's process, before this one loads its modules."""
     from vo.base.config import load_config
     from vo.base.scheduling import available_cores
@@ -80,56 +97,42 @@ def _start_optimizer(settings: Settings, stack: ExitStack) -> tuple[Config, Pope
     # Warnings about settings come before the console of the other ones is loaded.
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(logging.Formatter("warning: %(message)s"))
-    config = load_config(settings.config, settings.all_overrides)
+    settings = request.settings
+    config = load_config(settings.config, [*settings.all, *request.masks.settings])
     child = stack.enter_context(child_started_early(config.threads or available_cores()))
     return config, child
 
 
-def _run(
-    request: RunRequest,
-    config: Config,
-    optimizer_process: Popen[bytes] | None,
-    progress: Progress,
-    stack: ExitStack,
-) -> Summary:
+def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: ExitStack) -> Summary:
     from vo.cli.live_viewer import live_viewer
     from vo.cli.standard_input import NAME, spooled_input
     from vo.outputs.recorders.exports import Exports
     from vo.runs.run_recording import run
-    from vo.runs.scaling.creation import ScaleOptions
 
-    given, shown, outputs = request.input, request.visualisation, request.outputs
+    shown, live, outputs, is_piped = request.viewer, request.live, request.outputs, request.is_piped
     poses = _pose_targets(outputs, stack)
     viewer = stack.enter_context(live_viewer(shown.connect, spawn=shown.spawn, serve=shown.serve))
-    source = stack.enter_context(spooled_input()) if given.is_piped else given.source
+    source = stack.enter_context(spooled_input()) if is_piped else request.source
     return run(
         source,
-        outputs.folder,
+        request.output,
         config=config,
-        mode=given.mode,
-        start=given.start,
-        end=given.end,
-        stride=given.stride,
+        **request.reading.keywords,
+        **asdict(request.frames),
+        side_by_side=request.reading.side_by_side,
+        follow=live.follow or is_piped,
+        timeout_s=live.timeout,
+        duration_s=live.duration,
+        record=live.record,
+        source_name=NAME if is_piped else None,
+        scale=request.scale.sources,
         rrd=shown.rrd,
+        rrd_images=shown.rrd_images.value,
+        viewer=viewer,
         exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
         poses=poses,
         save_map=outputs.save_map,
-        scale=ScaleOptions(*request.scale),
-        rrd_images=shown.rrd_images,
-        viewer=viewer,
-        calibration=given.calibration,
-        format=given.format,
-        topics=given.topics,
-        right_offset_ns=given.right_offset_ns,
-        follow=given.follow or given.is_piped,
-        side_by_side=given.side_by_side,
-        timeout_s=given.timeout_s,
-        duration_s=given.duration_s,
-        record=given.record,
-        source_name=NAME if given.is_piped else None,
-        progress=progress,
-        profile_since=outputs.profile_since,
-        optimizer_process=optimizer_process,
+        **options,
     )
 
 
@@ -138,10 +141,11 @@ def _pose_targets(outputs: Outputs, stack: ExitStack) -> list[str | PoseSink]:
     from vo.cli.reserved_output import reserved_standard_output
     from vo.outputs.streaming.json_lines import JsonLines
 
+    given = outputs.poses or []
     if not outputs.poses_on_standard_output:
-        return list(outputs.poses)
+        return list(given)
     lines = JsonLines(stack.enter_context(reserved_standard_output()))
-    return [lines if address == "-" else address for address in outputs.poses]
+    return [lines if address == "-" else address for address in given]
 
 
 def _is_terminal_for_poses(outputs: Outputs) -> bool:

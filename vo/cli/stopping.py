@@ -89,6 +89,16 @@ def stop_signals_as_interrupts(output: Path) -> Iterator[StopSignals]:
             signal.signal(number, handler)
 
 
+@contextmanager
+def interrupts_named(output: Path) -> Iterator[None]:
+    """Turn Ctrl-C into one line, that a file was not written, and exit status 130."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        echo(f"interrupted; {output} was not written", err=True)
+        raise typer.Exit(130) from None
+
+
 def _remaining_results(output: Path, begun_s: float) -> str:
     try:
         written_s = (output / "summary.json").stat().st_mtime

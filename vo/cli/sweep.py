@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from vo.cli import options
-from vo.cli.batch import Dataset, Jobs, Manifest, Ray, Retries, Sources, Timeout
-from vo.cli.echo import echo_json
+from vo.cli.batch import Dataset, Manifest, RunOn, Sources, make_engine
+from vo.cli.blocks import Only
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,72 +30,69 @@ Output = Annotated[
         rich_help_panel=options.OUTPUT,
     ),
 ]
-Try = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--try",
-        metavar="KEY=VALUES",
-        help="Values of a setting, 500,1000,2000, or a range, 0.5..2; may be repeated.",
-        show_default=False,
-        rich_help_panel=_SEARCH,
-    ),
-]
-Trials = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        metavar="N",
-        help="Number of trials, chosen by Optuna (extra `sweep`).",
-        show_default="all combinations of the values",
-        rich_help_panel=_SEARCH,
-    ),
-]
-HeldOut = Annotated[
-    float,
-    typer.Option(
-        min=0.0,
-        max=0.9,
-        metavar="RATIO",
-        help="Ratio of the recordings that no trial runs on, but the best settings at the end.",
-        rich_help_panel=_SEARCH,
-    ),
-]
-MaxCpu = Annotated[
-    float | None,
-    typer.Option(
-        min=0.1,
-        metavar="RATIO",
-        help="Greatest CPU time, relative to the unchanged settings.",
-        show_default="no limit",
-        rich_help_panel=_SEARCH,
-    ),
-]
-Seed = Annotated[
-    int, typer.Option(min=0, metavar="N", help="Of all choices.", rich_help_panel=_SEARCH)
-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What is tried."""
+
+    tried: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--try",
+            metavar="KEY=VALUES",
+            help="Values of a setting, 500,1000,2000, or a range, 0.5..2; may be repeated.",
+            show_default=False,
+            rich_help_panel=_SEARCH,
+        ),
+    ] = None
+    trials: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="Number of trials, chosen by Optuna (extra `sweep`).",
+            show_default="all combinations of the values",
+            rich_help_panel=_SEARCH,
+        ),
+    ] = None
+    held_out: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=0.9,
+            metavar="RATIO",
+            help="Ratio of the recordings that no trial runs on, but the best settings at the end.",
+            rich_help_panel=_SEARCH,
+        ),
+    ] = 0.3
+    max_cpu: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            metavar="RATIO",
+            help="Greatest CPU time, relative to the unchanged settings.",
+            show_default="no limit",
+            rich_help_panel=_SEARCH,
+        ),
+    ] = None
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Of all choices.", rich_help_panel=_SEARCH)
+    ] = 0
 
 
 def sweep_command(
+    *,
     sources: Sources = None,
     output: Output = Path("sweep"),
-    tried: Try = None,
-    trials: Trials = None,
-    held_out: HeldOut = 0.3,
-    max_cpu: MaxCpu = None,
-    seed: Seed = 0,
+    search: Search,
     manifest: Manifest = None,
     dataset: Dataset = None,
-    calibration: options.Calibration = None,
-    mode: options.Mode = options.ModeChoice.AUTO,
+    reading: Annotated[options.Reading, Only("calibration", "mode")],
     config: options.Config = "default",
     overrides: options.Overrides = None,
-    jobs: Jobs = None,
-    ray: Ray = None,
-    timeout: Timeout = None,
-    retries: Retries = 1,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    runs: Annotated[RunOn, Only("jobs", "ray", "timeout", "retries")],
+    printing: options.Printing,
 ) -> None:
     """Try settings on recordings with ground truth, and write the best ones.
 
@@ -114,50 +112,44 @@ def sweep_command(
 
     Exit status: 0, 1 error, 2 wrong usage, 130 Ctrl-C.
     """
-    from vo.cli.batch import make_engine
     from vo.cli.batch_table import BatchBar
     from vo.cli.console import standard_error, standard_output
-    from vo.cli.progress import warnings_on
-    from vo.runs.batch.execution import Limits
     from vo.runs.batch.job import Job
     from vo.runs.batch.planning import plan
     from vo.runs.batch.sweep import SweepOptions, check_spaces, parse_space, run_sweep
 
     if not sources and manifest is None:
         raise typer.BadParameter("give recordings, folders or URLs, or a --manifest")
-    if not tried:
+    if not search.tried:
         raise typer.BadParameter("give settings to --try, such as features.count=800,1500")
     shared = Job(
         "",
         "",
         config,
         tuple(overrides or ()),
-        mode.value,
-        None if calibration is None else str(calibration),
+        reading.mode.value,
+        None if reading.calibration is None else str(reading.calibration),
     )
-    spaces = [parse_space(text) for text in tried]
+    spaces = [parse_space(text) for text in search.tried]
     check_spaces(spaces, shared)
     console = standard_error()
 
     def progress(name: str) -> BatchBar:
-        if not quiet:
+        if not printing.quiet:
             console.print(name, markup=False, highlight=False)
-        return BatchBar(console, quiet=quiet)
+        return BatchBar(console, quiet=printing.quiet)
 
-    with warnings_on(console, quiet=quiet):
+    with printing.warnings():
         planned = plan(sources or (), shared, manifest, None if dataset is None else dataset.value)
         result = run_sweep(
             planned,
             spaces,
             output,
-            make_engine(ray, jobs, Limits(2, timeout, None, retries)),
-            SweepOptions(trials, held_out, max_cpu, seed),
+            make_engine(runs),
+            SweepOptions(search.trials, search.held_out, search.max_cpu, search.seed),
             progress,
         )
-    if json_output:
-        echo_json(result.to_dict())
-    elif not quiet:
-        _print(result, output, standard_output())
+    printing.show(result.to_dict, lambda: _print(result, output, standard_output()))
 
 
 def _print(result: SweepResult, output: Path, console: Console) -> None:

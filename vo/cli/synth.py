@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 # Headings of the options in `--help`, besides those in `options`.
 _SCENE, _CAMERA = "Scene and motion", "Camera"
+_RECIPE_FIELDS = ("world", "motion", "camera", "mono", "seconds", "fps", "seed")
 
 Output = Annotated[
     Path | None,
@@ -26,128 +28,129 @@ Output = Annotated[
         metavar="OUTPUT", help="Folder to create, or a file for MCAP.", show_default=False
     ),
 ]
-Preset = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PRESET|FILE",
-        help="Settings to start from: a preset (see --list) or a YAML file.",
-        autocompletion=completion.recipes,
-        rich_help_panel=_SCENE,
-    ),
-]
-World = Annotated[
-    str | None,
-    typer.Option(
-        metavar="WORLD",
-        help="room, corridor, street, warehouse or terrain.",
-        rich_help_panel=_SCENE,
-    ),
-]
-Motion = Annotated[
-    str | None,
-    typer.Option(
-        metavar="MOTION",
-        help="car, robot, handheld, drone, rotate, stop_and_go or loop.",
-        rich_help_panel=_SCENE,
-    ),
-]
-Camera = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME|FILE",
-        help="Name of a camera (see --list), or a calibration file.",
-        autocompletion=completion.cameras,
-        rich_help_panel=_CAMERA,
-    ),
-]
-Mono = Annotated[
-    bool | None,
-    typer.Option("--mono/--stereo", help="One camera, or two.", rich_help_panel=_CAMERA),
-]
-EffectStrengths = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME=STRENGTH,…",
-        help="Image effects: 0 for none, 1 for the usual strength. `none`, alone or first in the "
-        "list, turns all others off.",
-        rich_help_panel=_CAMERA,
-    ),
-]
-Seconds = Annotated[
-    float | None,
-    typer.Option(metavar="SECONDS", help="Duration.", rich_help_panel=_SCENE),
-]
-Fps = Annotated[
-    float | None,
-    typer.Option(metavar="RATE", help="Frames per second.", rich_help_panel=_CAMERA),
-]
-Seed = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N", help="Random seed; equal seeds give equal files.", rich_help_panel=_SCENE
-    ),
-]
-Format = Annotated[
-    str | None,
-    typer.Option(
-        "--to",
-        metavar="FORMAT",
-        help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
-        autocompletion=completion.output_formats,
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Codec = Annotated[
-    str | None,
-    typer.Option(
-        metavar="CODEC",
-        help="Image codec: png, jpeg (lossy), or raw in MCAP.",
-        autocompletion=completion.codecs,
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Depth = Annotated[
-    bool | None,
-    typer.Option(
-        "--depth/--no-depth", help="Write true depth images too.", rich_help_panel=options.OUTPUT
-    ),
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override any setting (see --list); repeatable.",
-        rich_help_panel=_SCENE,
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Replace existing files.", rich_help_panel=options.OUTPUT),
-]
 List = Annotated[bool, typer.Option("--list", help="List presets, cameras and settings, and exit.")]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """Scene, motion and cameras."""
+
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PRESET|FILE",
+            help="Settings to start from: a preset (see --list) or a YAML file.",
+            autocompletion=completion.recipes,
+            rich_help_panel=_SCENE,
+        ),
+    ] = None
+    world: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WORLD",
+            help="room, corridor, street, warehouse or terrain.",
+            rich_help_panel=_SCENE,
+        ),
+    ] = None
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MOTION",
+            help="car, robot, handheld, drone, rotate, stop_and_go or loop.",
+            rich_help_panel=_SCENE,
+        ),
+    ] = None
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Name of a camera (see --list), or a calibration file.",
+            autocompletion=completion.cameras,
+            rich_help_panel=_CAMERA,
+        ),
+    ] = None
+    mono: Annotated[
+        bool | None,
+        typer.Option("--mono/--stereo", help="One camera, or two.", rich_help_panel=_CAMERA),
+    ] = None
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=STRENGTH,…",
+            help="Image effects: 0 for none, 1 for the usual strength. `none`, alone or first in "
+            "the list, turns all others off.",
+            rich_help_panel=_CAMERA,
+        ),
+    ] = None
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", help="Duration.", rich_help_panel=_SCENE),
+    ] = None
+    fps: Annotated[
+        float | None,
+        typer.Option(metavar="RATE", help="Frames per second.", rich_help_panel=_CAMERA),
+    ] = None
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Random seed; equal seeds give equal files.", rich_help_panel=_SCENE
+        ),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Files:
+    """What is written."""
+
+    to: Annotated[
+        str | None,
+        typer.Option(
+            "--to",
+            metavar="FORMAT",
+            help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+            autocompletion=completion.output_formats,
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None
+    codec: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CODEC",
+            help="Image codec: png, jpeg (lossy), or raw in MCAP.",
+            autocompletion=completion.codecs,
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None
+    depth: Annotated[
+        bool | None,
+        typer.Option(
+            "--depth/--no-depth",
+            help="Write true depth images too.",
+            rich_help_panel=options.OUTPUT,
+        ),
+    ] = None
+    overrides: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="KEY=VALUE",
+            help="Override any setting (see --list); repeatable.",
+            rich_help_panel=_SCENE,
+        ),
+    ] = None
+    force: Annotated[
+        bool,
+        typer.Option("--force", help="Replace existing files.", rich_help_panel=options.OUTPUT),
+    ] = False
+
+
 def synth_command(
+    *,
     output: Output = None,
-    preset: Preset = None,
-    world: World = None,
-    motion: Motion = None,
-    camera: Camera = None,
-    mono: Mono = None,
-    effects: EffectStrengths = None,
-    seconds: Seconds = None,
-    fps: Fps = None,
-    seed: Seed = None,
-    to: Format = None,
-    codec: Codec = None,
-    depth: Depth = None,
-    overrides: Overrides = None,
-    force: Force = False,
+    scene: Scene,
+    files: Files,
     list_: List = False,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Render a synthetic recording with exact ground truth.
 
@@ -169,34 +172,28 @@ def synth_command(
       vo synth out/hard --preset euroc --effects blur=2,noise=3,dark=1 --seed 7
       vo synth log.mcap --preset phone --to mcap-ros2 --codec jpeg
     """
-    from vo.cli.console import standard_error
-
     if list_:
-        _list_choices(json_output)
+        _list_choices(printing.json_output)
         return
     if output is None:
         raise typer.BadParameter("give the folder or file to create", param_hint="OUTPUT")
     from data_synth.recipe import load_recipe
-    from vo.cli.progress import warnings_on
     from vo.outputs.results.output_paths import refuse_to_overwrite
 
-    scene = {"world": world, "motion": motion, "camera": camera, "mono": mono}
-    sampling = {"seconds": seconds, "fps": fps, "seed": seed}
-    files = {"format": to, "codec": codec, "depth": depth}
-    named = {**scene, **sampling, **files}
+    named = {name: getattr(scene, name) for name in _RECIPE_FIELDS}
+    named |= {"format": files.to, "codec": files.codec, "depth": files.depth}
     given = [f"{key}={value}" for key, value in named.items() if value is not None]
-    recipe = load_recipe(preset, [*(overrides or ()), *given, *_effect_settings(effects)])
-    refuse_to_overwrite([Path(each) for each in (preset, camera) if each], [output])
-    with warnings_on(standard_error(), quiet=quiet):
-        made = _render(recipe, output, force, standard_error(quiet=quiet))
+    overrides = [*(files.overrides or ()), *given, *_effect_settings(scene.effects)]
+    recipe = load_recipe(scene.preset, overrides)
+    refuse_to_overwrite([Path(each) for each in (scene.preset, scene.camera) if each], [output])
+    with printing.warnings():
+        made = _render(recipe, output, files.force, printing.errors)
     facts = _facts(made, output, recipe)
-    if json_output:
-        echo_json(facts)
-    elif not quiet:
-        echo(
-            f"{output}: {counted(facts['frames'], facts['mode'] + ' frame')}, "
-            f"{facts['seconds']:g} s, {facts['path_m']:.1f} m of path, {facts['format']}"
-        )
+    text = (
+        f"{output}: {counted(facts['frames'], facts['mode'] + ' frame')}, "
+        f"{facts['seconds']:g} s, {facts['path_m']:.1f} m of path, {facts['format']}"
+    )
+    printing.show(lambda: facts, lambda: echo(text))
 
 
 def _list_choices(as_json: bool) -> None:
@@ -228,19 +225,10 @@ def _effect_settings(text: str | None) -> list[str]:
 
 
 def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> Recording:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
-    from rich.progress import TimeRemainingColumn as Remaining
-
     from data_synth.sequence import make_sequence
+    from vo.cli.progress import frame_bar
 
-    columns = ("{task.description}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    is_hidden = console.quiet or not console.is_terminal
-    with Progress(*columns, Remaining(), console=console, disable=is_hidden) as bar:
-        task = bar.add_task(f"building the {recipe.world}", total=None)
-
-        def show(done: int, total: int) -> None:
-            bar.update(task, description="rendering", completed=done, total=total)
-
+    with frame_bar(console, f"building the {recipe.world}", "rendering") as (_, show):
         return make_sequence(output, recipe, force=force, on_frame=show)
 
 

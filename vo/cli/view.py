@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import shlex
 import signal
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,12 +49,11 @@ Bind = Annotated[
 
 def view_command(
     recording: Recording,
+    *,
     web: Web = False,
     port: Port = 0,
     bind: Bind = _LOCALHOST,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Show a run in the rerun viewer.
 
@@ -76,28 +74,15 @@ def view_command(
     file = find_recording(recording)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # to stop the viewer, too
     if web:
-        _serve(file, port, bind, _text_of(json_output, quiet))
+        _serve(file, port, bind, printing)
         return
     viewer = start_native(file)
-    if json_output:
+    if printing.json_output:
         echo_json({"recording": str(file)})
     _wait(viewer)
 
 
-def _text_of(as_json: bool, quiet: bool) -> Callable[[Path, str, int], None]:
-    """What to print about a recording that is served at an address, with its data on a port."""
-
-    def show(file: Path, address: str, port: int) -> None:
-        if as_json:
-            echo_json({"recording": str(file), "address": address, "data_port": port})
-        elif not quiet:
-            echo(f"{file} is at {address}")
-            echo(f"data on port {port}; press Ctrl-C to end")
-
-    return show
-
-
-def _serve(file: Path, port: int, bind: str, show: Callable[[Path, str, int], None]) -> None:
+def _serve(file: Path, port: int, bind: str, printing: options.Printing) -> None:
     from urllib.parse import urlsplit
 
     from vo.outputs.recorders.file_server import FileServer
@@ -110,8 +95,15 @@ def _serve(file: Path, port: int, bind: str, show: Callable[[Path, str, int], No
         server = stack.enter_context(FileServer(file, bind, urlsplit(page).port or 0))
         data = f"http://{host_of(bind)}:{server.port}{server.path}"
         with contextlib.suppress(KeyboardInterrupt):  # may come as soon as the address is shown
-            show(file, f"{page}?url={data}", server.port)
+            print_address(printing, file, f"{page}?url={data}", server.port)
             _wait(viewer)
+
+
+def print_address(printing: options.Printing, file: Path, address: str, port: int) -> None:
+    """Print where a recording is served, with its data on a port."""
+    record = {"recording": str(file), "address": address, "data_port": port}
+    lines = f"{file} is at {address}\ndata on port {port}; press Ctrl-C to end"
+    printing.show(lambda: record, lambda: echo(lines))
 
 
 def _wait(viewer: ViewerProcess) -> None:

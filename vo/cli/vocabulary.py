@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.echo import echo
 
 
 class VocabularyAction(StrEnum):
@@ -50,10 +50,9 @@ def vocabulary_command(
     action: Action,
     sources: Sources,
     output: Output,
+    *,
     every: Every = 10,
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Train a vocabulary of ORB features, by which places are recognised.
 
@@ -68,7 +67,7 @@ def vocabulary_command(
     from vo.tools.laboratory.vocabulary_training import train_on
 
     def report(name: str, count: int) -> None:
-        if not quiet:
+        if not printing.quiet:
             echo(f"{name}: {count} images", err=True)
 
     refuse_to_overwrite(sources, [output])
@@ -80,7 +79,5 @@ def vocabulary_command(
         "words": vocabulary.words,
         "images": vocabulary.images,
     }
-    if json_output:
-        echo_json(result)
-    elif not quiet:
-        echo(f"{output}: {vocabulary.words} words of {vocabulary.images} images, {vocabulary.id}")
+    text = f"{output}: {vocabulary.words} words of {vocabulary.images} images, {vocabulary.id}"
+    printing.show(lambda: result, lambda: echo(text))

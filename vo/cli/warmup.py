@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 
 from vo.cli import options
-from vo.cli.echo import echo, echo_json
+from vo.cli.echo import echo
 
 
 def warmup_command(
-    json_output: options.Json = False,
-    quiet: options.Quiet = False,
-    verbose: options.Verbose = False,
+    printing: options.Printing,
 ) -> None:
     """Compile the inner loops now instead of in the first run.
 
@@ -25,18 +23,14 @@ def warmup_command(
       vo warmup
     """
     from vo.base.compiling import store
-    from vo.cli.console import standard_error
-    from vo.cli.progress import warnings_on
     from vo.engine.odometry import Odometry
     from vo.engine.warmup import warm_up
     from vo.tools.rendering import rasterizer
 
     begin = time.monotonic()
-    with warnings_on(standard_error(), quiet=quiet):
+    with printing.warnings():
         has_compiled = any([warm_up(Odometry), rasterizer.warm_up()])
     seconds, folder = time.monotonic() - begin, str(store.folder())
-    if json_output:
-        echo_json({"compiled": has_compiled, "seconds": round(seconds, 3), "folder": folder})
-    elif not quiet:
-        done = f"compiled in {seconds:.0f} s" if has_compiled else "nothing to compile"
-        echo(f"{done}; the machine code is in {folder}")
+    record = {"compiled": has_compiled, "seconds": round(seconds, 3), "folder": folder}
+    done = f"compiled in {seconds:.0f} s" if has_compiled else "nothing to compile"
+    printing.show(lambda: record, lambda: echo(f"{done}; the machine code is in {folder}"))

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
@@ -30,7 +29,8 @@ from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.runs.pose_log import PoseLog
-from vo.runs.progress import Progress
+from vo.runs.progress import NullProgress, Progress
+from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
 from vo.runs.scaling.creation import ScaleSources
 
@@ -40,47 +40,34 @@ _REFRESH_RATIO = 0.02  # maximum ratio of the time that they take
 
 
 @dataclass(frozen=True)
-class Request:
-    """What a run was asked for.
+class OpenedRun:
+    """A recording that was opened for a run.
 
     Attributes:
-        path: path of the recording, or the name of a stream.
-        public_name: name of the recording in summaries and messages.
+        stream: its frames.
+        path: its path, or the name of a stream.
+        public_name: its name in summaries and messages.
         config: all settings.
-        start: first frame.
-        end: frame to stop before, None for all.
-        stride: step between frames.
-        calibration: file that replaces the recording's calibration, or None.
-        topics: of a log, as given.
-        right_offset_ns: added to the stamps of right images, None if it was not given.
-        follow: whether it may still grow.
-        save_map: file for the map, or None.
-        profile_since: start of the profile on `time.perf_counter`, None for no profile.
+        options: those of the run.
         scale: what measures the scale of a mono path, and places it on the globe.
         unused_imu: the inertial sensor, if it cannot be used.
     """
 
+    stream: FrameStream
     path: str
     public_name: str
     config: Config
-    start: int = 0
-    end: int | None = None
-    stride: int = 1
-    calibration: Path | None = None
-    topics: tuple[str, ...] = ()
-    right_offset_ns: int | None = None
-    follow: bool = False
-    save_map: Path | None = None
-    profile_since: float | None = None
+    options: RunOptions
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
 
-    def facts(self, stream: FrameStream) -> RunFacts:
+    def facts(self) -> RunFacts:
         """Facts about the run; a stream without length has no known number of frames."""
-        end = self.end or 0
+        stream, options = self.stream, self.options
+        end = options.end or 0
         if isinstance(stream, Recording):
             length = len(stream)
-            end = length if self.end is None else min(self.end, length)
+            end = length if options.end is None else min(options.end, length)
         rig = stream.rig
         return RunFacts(
             source=self.public_name,
@@ -88,14 +75,14 @@ class Request:
             mode="rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono",
             has_ground_truth=stream.ground_truth is not None,
             seed=self.config.seed,
-            start=self.start,
+            start=options.start,
             end=end,
-            stride=self.stride,
-            requested=len(range(self.start, end, self.stride)) if self.stride else 0,
+            stride=options.stride,
+            requested=len(range(options.start, end, options.stride)) if options.stride else 0,
             every=self.config.tracking.every,
-            calibration=None if self.calibration is None else str(self.calibration),
-            topics=self.topics,
-            right_offset_ns=self.right_offset_ns,
+            calibration=None if options.calibration is None else str(options.calibration),
+            topics=tuple(options.topics),
+            right_offset_ns=options.right_offset_ns,
         )
 
     def with_public_name(self, text: str) -> str:
@@ -107,32 +94,28 @@ class RunSession:
     """A run from its first frame to its last: tracks frames, writes results, records, summarises.
 
     Args:
-        stream: the recording.
-        request: what was asked for.
+        opened: the recording, and what was asked for.
         odometry: tracks the frames.
         folder: receives the results.
         recorder: records the run.
-        progress: observes the run.
         poses: receive each pose at once.
     """
 
     def __init__(
         self,
-        stream: FrameStream,
-        request: Request,
+        opened: OpenedRun,
         odometry: Odometry,
         folder: RunFolder,
         recorder: Recorder,
-        progress: Progress,
         poses: PoseStreams,
     ) -> None:
-        self._stream = stream
-        self._request = request
-        self._facts = request.facts(stream)
+        self._stream = stream = opened.stream
+        self._opened, self._options = opened, opened.options
+        self._facts = opened.facts()
         self._odometry = odometry
         self._folder = folder
         self._recorder = recorder
-        self._progress = progress
+        self._progress: Progress = opened.options.progress or NullProgress()
         self._poses = poses
         is_live = isinstance(stream, LiveStream)
         poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults, is_live=is_live)
@@ -142,7 +125,7 @@ class RunSession:
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
         self._start_up_ms = 0.0
-        self._scale = RunScale(request.scale)
+        self._scale = RunScale(opened.scale)
         self._is_warned = False  # that results are incomplete
 
     def run(self, frames: Iterator[Frame]) -> Summary:
@@ -172,7 +155,7 @@ class RunSession:
     def _track(self, frames: Iterator[Frame], interrupts: DeferredInterrupts) -> None:
         """Track all frames; stop signals are delivered between them."""
         clock = Stopwatch()
-        since = self._request.profile_since
+        since = self._options.profile_since
         self._start_up_ms = 0.0 if since is None else (time.perf_counter() - since) * 1e3
         for estimate in self._estimates(_awaited(frames, clock, interrupts), interrupts):
             with clock.stage("write"), interrupts.waiting(signals=1):
@@ -252,7 +235,7 @@ class RunSession:
     def _is_last(self, estimate: Estimate) -> bool:
         """Whether no frame of a recording is left after this one."""
         step = self._facts.stride * self._facts.every
-        is_known = self._facts.requested > 0 and not self._request.follow
+        is_known = self._facts.requested > 0 and not self._options.follow
         return is_known and estimate.frame_index + step >= self._facts.end
 
     def _finish_files(self) -> None:
@@ -265,8 +248,8 @@ class RunSession:
             self._folder.finish()
 
     def _save_map(self) -> None:
-        if self._request.save_map is not None:
-            self._odometry.placement.save_map(self._request.save_map, self._request.public_name)
+        if self._options.save_map is not None:
+            self._odometry.placement.save_map(self._options.save_map, self._opened.public_name)
 
     def _apply_scale(self) -> None:
         placement = self._odometry.placement
@@ -330,8 +313,8 @@ class RunSession:
         self._refresh_took = self._refreshed - now
 
     def _summarise(self, status: Status, error: str | None = None) -> Summary:
-        self._facts = self._request.facts(self._stream)  # a growing log has more frames now
-        named = self._request.with_public_name
+        self._facts = self._opened.facts()  # a growing log has more frames now
+        named = self._opened.with_public_name
         state = RunState(
             self._facts,
             status,
@@ -351,7 +334,7 @@ class RunSession:
             map_use=self._odometry.placement.map_use,
             networks=self._odometry.networks,
             scale=self._scale.findings,
-            inertial=self._odometry.placement.inertial or self._request.unused_imu,
+            inertial=self._odometry.placement.inertial or self._opened.unused_imu,
         )
         summary = summarise(state)
         self._folder.write_summary(summary.to_dict())
@@ -366,7 +349,7 @@ class RunSession:
 
     def _profile(self) -> Profile | None:
         """Profile of the run until now."""
-        since = self._request.profile_since
+        since = self._options.profile_since
         if since is None:
             return None
         wall_ms = (time.perf_counter() - since) * 1e3

@@ -1,0 +1,90 @@
+"""Commands whose parameters may be blocks of options: dataclasses of annotated fields.
+
+A block is declared once, and every command with such options has a parameter of its type. The
+command line sees the fields of a block in its place, so their order is that of `--help`.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from functools import cache, update_wrapper
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+_EMPTY = inspect.Parameter.empty
+
+
+class Only:
+    """Of the fields of a block, those that a command has, in this order."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+
+class CommandFunction:
+    """A function for typer, without blocks; they are looked at when the command is prepared."""
+
+    def __init__(self, function: Callable[..., None]) -> None:
+        update_wrapper(self, function)
+        del self.__dict__["__wrapped__"]  # its parameters are others
+        self.__annotations__ = {}
+        self._function = function
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        hints = get_type_hints(self._function, include_extras=True)
+        return inspect.Signature(
+            [
+                parameter
+                for name, given in inspect.signature(self._function).parameters.items()
+                for parameter in _parameters(name, hints[name], given.default)
+            ]
+        )
+
+    def __call__(self, **given: Any) -> None:
+        """Call the function with its blocks, made of what typer has parsed."""
+        hints = get_type_hints(self._function, include_extras=True)
+        names = inspect.signature(self._function).parameters
+        self._function(**{name: _value(name, hints[name], given) for name in names})
+
+
+def _block(hint: Any) -> tuple[Any, tuple[str, ...]]:
+    """The block of a hint and the names of its fields; None for a plain option."""
+    kind, *extras = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        return None, ()
+    chosen = [extra.names for extra in extras if isinstance(extra, Only)]
+    return kind, chosen[0] if chosen else tuple(_fields(kind))
+
+
+@cache
+def _fields(block: type) -> Mapping[str, tuple[Any, Any]]:
+    """Hint and default of each field."""
+    hints = get_type_hints(block, include_extras=True)
+    return {
+        field.name: (hints[field.name], _default(field.default, field.default_factory))
+        for field in fields(block)
+    }
+
+
+def _default(value: Any, factory: Any) -> Any:
+    if factory is not MISSING:
+        return factory()
+    return _EMPTY if value is MISSING else value
+
+
+def _parameters(name: str, hint: Any, default: Any) -> Iterator[inspect.Parameter]:
+    block, names = _block(hint)
+    if block is None:
+        kind = inspect.Parameter.KEYWORD_ONLY
+        yield inspect.Parameter(name, kind, default=default, annotation=hint)
+    for each in names:
+        yield from _parameters(each, *_fields(block)[each])
+
+
+def _value(name: str, hint: Any, given: Mapping[str, Any]) -> Any:
+    block, names = _block(hint)
+    if block is None:
+        return given[name]
+    return block(**{each: _value(each, _fields(block)[each][0], given) for each in names})

@@ -1,0 +1,66 @@
+"""The recording that `vo calibrate` reads, the search for the board in it, and files to write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vo.base.errors import OutputError
+from vo.base.printable import counted
+from vo.cli.calibrate_options import Request
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from vo.recordings.sources.sequence import ImageSequence
+
+
+def refuse_existing(request: Request, paths: list[Path | None]) -> None:
+    """Refuse to replace files without --force."""
+    for path in paths:
+        if path is not None and path.is_file() and not request.force:
+            raise OutputError(f"{path} exists already; choose another file, or replace it: --force")
+
+
+def check_outputs(inputs: list[Path], output: Path, picture: Path | None) -> None:
+    """Check the output paths before minutes of work."""
+    from vo.outputs.results.output_paths import refuse_to_overwrite
+
+    refuse_to_overwrite(inputs, [output, picture])
+    for path in (output, picture):
+        if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+            raise OutputError(f"{path} cannot be written; give a file in an existing folder")
+    if picture is not None:
+        from vo.tools.calibrating.plots import check_suffix
+
+        check_suffix(picture)
+
+
+@contextmanager
+def search_progress(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
+    """A callback with the numbers of frames searched and of views; a bar only on a terminal."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=None),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[found]}"),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+        expand=True,
+    ) as bar:
+        task = bar.add_task("searching for the board", total=total, found="")
+        yield lambda done, found: bar.update(task, completed=done, found=counted(found, "view"))
+
+
+def open_recording(path: Path, request: Request) -> ImageSequence:
+    """The recording of the board, without a calibration."""
+    from vo.recordings.sources.uncalibrated import open_uncalibrated
+
+    reading = request.reading
+    keywords = {name: value for name, value in reading.keywords.items() if name != "calibration"}
+    return open_uncalibrated(path, side_by_side=reading.side_by_side, **keywords)
