@@ -20,8 +20,9 @@ from vo.base.types import Estimate, KeyframePose, Mode, Rig, Snapshot, Trajector
 from vo.engine.odometry import Odometry as FrameOdometry
 from vo.engine.stages import BUILT_IN, Components
 from vo.outputs.results.run_statistics import RunStatistics
-from vo.outputs.results.summary import RunFacts, RunState, Summary, summarise
+from vo.outputs.results.summary import RunFacts, Summary
 from vo.recordings.formats.calibration import Calibration
+from vo.runs.run_summary import summarise_odometry
 
 
 class Odometry:
@@ -142,24 +143,14 @@ class Odometry:
         """What `vo run` would print so far: verdict, warnings, figures."""
         with self._lock:
             self._finish_update()
-            path = self._odometry.trajectory
-            state = RunState(
+            return summarise_odometry(
+                self._odometry,
                 self._facts(),
                 "finished",
                 self._statistics,
-                path.path(),
-                keyframes=path.keyframe_count,
-                skipped=(),
                 unpaired=self._unpaired,
                 wall_s=time.perf_counter() - self._begun,
-                calibration=self._odometry.calibration_errors,
-                hidden=self._odometry.hidden,
-                loops=self._odometry.placement.closed_loops,
-                relocalisations=self._odometry.placement.relocalisations,
-                map_use=self._odometry.placement.map_use,
-                networks=self._odometry.networks,
             )
-            return summarise(state)
 
     def close(self) -> None:
         """Optimise the newest keyframes, and end threads and processes; results stay available."""

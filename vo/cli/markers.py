@@ -35,7 +35,7 @@ class RefinementChoice(StrEnum):
 class BoardOptions:
     """`--board` and its dimensions."""
 
-    kind: Annotated[
+    board: Annotated[
         BoardChoice | None,
         typer.Option(
             "--board",

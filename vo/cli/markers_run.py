@@ -155,7 +155,7 @@ def _finished(
     if request.picture is not None and image is not None:
         most = max(frames, key=lambda frame: len(frame.markers))
         board = request.board
-        length_m = request.length or (0.05 if board.kind is None else board.square)
+        length_m = request.length or (0.05 if board.board is None else board.square)
         save_picture(request.picture, draw_markers(image, most, camera, length_m))
         written.append(request.picture)
     if request.csv is not None:
@@ -167,12 +167,12 @@ def _finished(
 def _finder(request: Request, detector: MarkerDetector, camera: Camera | None) -> MarkerFinder:
     board: MarkerBoard | None = None
     wanted = request.board
-    if wanted.kind == "grid":
+    if wanted.board == "grid":
         if request.length is None:
             raise ConfigError("--board grid needs --length, the side of a marker")
         size = (wanted.columns, wanted.rows, request.length, wanted.gap)
         board = make_grid(*size, detector.name)
-    elif wanted.kind == "charuco":
+    elif wanted.board == "charuco":
         marker_m = request.length or 0.75 * wanted.square
         size = (wanted.columns, wanted.rows, wanted.square, marker_m)
         board = CharucoBoard(make_charuco(*size, detector.name))
@@ -183,7 +183,7 @@ def _checked_camera(
     camera: Camera | None, request: Request, size: tuple[int, int]
 ) -> Camera | None:
     if camera is None:
-        if request.length is not None or request.board.kind is not None:
+        if request.length is not None or request.board.board is not None:
             _log.warning(
                 "%s has no calibration: ids and corners are found, but no poses; give "
                 "--calibration FILE",

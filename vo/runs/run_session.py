@@ -23,7 +23,7 @@ from vo.outputs.results.live_summary import LiveState
 from vo.outputs.results.poses import pose_lines
 from vo.outputs.results.profile import Profile, make_profile
 from vo.outputs.results.run_statistics import RunStatistics
-from vo.outputs.results.summary import RunFacts, RunState, Status, Summary, summarise
+from vo.outputs.results.summary import RunFacts, Status, Summary
 from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
@@ -32,6 +32,7 @@ from vo.runs.pose_log import PoseLog
 from vo.runs.progress import NullProgress, Progress
 from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
+from vo.runs.run_summary import summarise_odometry
 from vo.runs.scaling.creation import ScaleSources
 
 _log = logging.getLogger(__name__)
@@ -315,28 +316,20 @@ class RunSession:
     def _summarise(self, status: Status, error: str | None = None) -> Summary:
         self._facts = self._opened.facts()  # a growing log has more frames now
         named = self._opened.with_public_name
-        state = RunState(
+        summary = summarise_odometry(
+            self._odometry,
             self._facts,
             status,
             self._statistics,
-            self._odometry.trajectory.path(),
-            keyframes=self._odometry.trajectory.keyframe_count,
             skipped=[replace(s, reason=named(s.reason)) for s in self._stream.skipped],
             unpaired=self._stream.unpaired,
             wall_s=time.perf_counter() - self._begun,
-            calibration=self._odometry.calibration_errors,
             error=None if error is None else named(error),
             profile=self._profile(),
             live=self._live_state(),
-            hidden=self._odometry.hidden,
-            loops=self._odometry.placement.closed_loops,
-            relocalisations=self._odometry.placement.relocalisations,
-            map_use=self._odometry.placement.map_use,
-            networks=self._odometry.networks,
             scale=self._scale.findings,
             inertial=self._odometry.placement.inertial or self._opened.unused_imu,
         )
-        summary = summarise(state)
         self._folder.write_summary(summary.to_dict())
         return summary
 

@@ -16,7 +16,7 @@ from vo.base.records.placed_frames import PlacedFrames
 from vo.base.types import Estimate, KeyframePose, Skipped, State, Trajectory
 from vo.outputs.results.covariance import COVARIANCE_HEADING, covariance_line
 from vo.outputs.results.run_statistics import RunStatistics
-from vo.outputs.results.summary import RunFacts, RunState, Summary, summarise
+from vo.outputs.results.summary import RunFacts, Summary, summarise
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "outputs.md"
 
@@ -82,18 +82,16 @@ def summary_of(
     for each in estimates:
         statistics.add(each)
         statistics.add_times({"read": 1.0 + each.frame_index})
-    state = RunState(
+    return summarise(
         facts(mode),
         "finished",
         statistics,
         poses,
+        CalibrationErrors(offset_px, curve_px, None, lens),
         keyframes=2,
         skipped=skipped,
-        unpaired=0,
         wall_s=2.0,
-        calibration=CalibrationErrors(offset_px, curve_px, None, lens),
     )
-    return summarise(state)
 
 
 def test_every_frame_has_a_pose_or_is_listed_once() -> None:

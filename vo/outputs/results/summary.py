@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -50,53 +50,6 @@ class RunFacts:
     calibration: str | None = None
     topics: tuple[str, ...] = ()
     right_offset_ns: int | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class RunState:
-    """A run as far as it has come.
-
-    Attributes:
-        facts: what was known before the first frame.
-        status: how the run ended, or would have ended if it stopped now.
-        statistics: over the processed frames.
-        path: the frames that have a pose.
-        keyframes: number of keyframes.
-        skipped: frames that could not be read.
-        unpaired: number of frames without their right or depth image.
-        wall_s: duration.
-        calibration: errors of the calibration that were found.
-        error: message of the error that ended the run, None without one.
-        profile: None if it was not requested.
-        live: None for a recording.
-        hidden: ratio of the recorded images that masks hide, by camera.
-        loops: that were closed.
-        relocalisations: segments whose place in an older world was found.
-        map_use: the loaded map, None without one.
-        networks: what is known of each network in use.
-        scale: what sources of the metric scale have measured, None without any or before the end.
-        inertial: the inertial sensor, None without one.
-    """
-
-    facts: RunFacts
-    status: Status
-    statistics: RunStatistics
-    path: PlacedFrames
-    keyframes: int
-    skipped: Sequence[Skipped]
-    unpaired: int
-    wall_s: float
-    calibration: CalibrationErrors
-    error: str | None = None
-    profile: Profile | None = None
-    live: LiveState | None = None
-    hidden: tuple[float, ...] = ()
-    loops: tuple[ClosedLoop, ...] = ()
-    relocalisations: tuple[Relocalisation, ...] = ()
-    map_use: MapUse | None = None
-    networks: tuple[Mapping[str, str], ...] = ()
-    scale: ScaleFindings | None = None
-    inertial: InertialUse | None = None
 
 
 class Segment(NamedTuple):
@@ -240,11 +193,30 @@ class Summary:
         }
 
 
-def summarise(state: RunState) -> Summary:
-    """Summary of a run that has finished or is still going on."""
-    facts, statistics, path = state.facts, state.statistics, state.path
+def summarise(
+    facts: RunFacts,
+    status: Status,
+    statistics: RunStatistics,
+    path: PlacedFrames,
+    calibration: CalibrationErrors,
+    *,
+    live: LiveState | None = None,
+    **found: Any,
+) -> Summary:
+    """Summary of a run that has finished or is still going on.
+
+    Args:
+        facts: what was known before the first frame.
+        status: how the run ended, or would have ended if it stopped now.
+        statistics: over the processed frames.
+        path: the frames that have a pose.
+        calibration: errors of the calibration that were found.
+        live: None for a recording.
+        **found: the other fields of the summary, by their names.
+    """
+    skipped = tuple(found.pop("skipped", ()))
     ranges, count = ranges_without_pose(
-        statistics, path.frame_index, state.skipped, _untracked(facts, state.status, statistics)
+        statistics, path.frame_index, skipped, _untracked(facts, status, statistics)
     )
     interpolated = int(path.interpolated.sum())
     inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
@@ -253,9 +225,11 @@ def summarise(state: RunState) -> Summary:
     tracked = len(path.frame_index) - interpolated - inertial
     # The disparities of a depth camera are relative to a virtual right camera.
     disparity_px = statistics.median_disparity_px if facts.mode == "stereo" else None
+    # Orientations alone are stored relative to an origin, which is no keyframe.
+    keyframes = found.pop("keyframes")
     return Summary(
-        status=state.status,
-        error=state.error,
+        status=status,
+        error=found.pop("error", None),
         facts=facts,
         frames=len(path.frame_index) + sum(count.values()),
         tracked=tracked,
@@ -265,37 +239,28 @@ def summarise(state: RunState) -> Summary:
         untracked=count["untracked"],
         starting=count[State.STARTING.value],
         lost=count[State.LOST.value],
-        skipped=tuple(state.skipped),
-        unpaired=state.unpaired,
+        skipped=skipped,
+        unpaired=found.pop("unpaired", 0),
         without_pose=tuple(ranges),
         segments=tuple(segments),
-        # Orientations alone are stored relative to an origin, which is no keyframe.
-        keyframes=state.keyframes if tracked else 0,
+        keyframes=keyframes if tracked else 0,
         landmarks=statistics.landmarks,
         path_m=round(sum(s.path_m for s in segments), 6),
-        wall_s=round(state.wall_s, 3),
+        wall_s=round(found.pop("wall_s"), 3),
         stages=statistics.stages(),
         peak_rss_mb=round(peak_rss_mb(), 1),
         versions=versions(),
         median_inliers=statistics.median_inliers,
         median_disparity_px=None if disparity_px is None else round(disparity_px, 2),
-        disparity_offset_px=round(state.calibration.disparity_offset_px, 4),
-        disparity_curve_px=round(state.calibration.disparity_curve_px, 4),
-        right_camera=state.calibration.right_camera,
-        lens_error=state.calibration.lens_error,
+        disparity_offset_px=round(calibration.disparity_offset_px, 4),
+        disparity_curve_px=round(calibration.disparity_curve_px, 4),
+        right_camera=calibration.right_camera,
+        lens_error=calibration.lens_error,
         main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
-        hidden=tuple(round(ratio, 4) for ratio in state.hidden),
-        networks=state.networks,
-        scale=state.scale,
-        inertial=state.inertial,
-        loops=state.loops,
-        relocalisations=state.relocalisations,
-        map_use=state.map_use,
-        profile=state.profile,
-        live=None
-        if state.live is None
-        else LiveSummary(state.live, delay_of(statistics.delays_ms)),
+        hidden=tuple(round(ratio, 4) for ratio in found.pop("hidden", ())),
+        live=None if live is None else LiveSummary(live, delay_of(statistics.delays_ms)),
+        **found,
     )
 
 

@@ -1,0 +1,84 @@
+"""The flags of a command, by the names that their options have in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from inspect import Parameter
+from typing import Any, get_args, get_origin
+
+from typer.models import OptionInfo
+
+from vo.base.option_names import Flag
+from vo.cli.blocks import CommandFunction
+
+# Names in Python, and in the command line where they differ.
+_IN_PYTHON = {
+    "topics": "topic",
+    "right_offset_ns": "right_offset",
+    "timeout_s": "timeout",
+    "duration_s": "duration",
+    "tolerance_s": "tolerance",
+    "interpolated": "interpolate",
+    "positions": "scale_from",
+    "offset_ns": "scale_offset",
+    "height_m": "height",
+    "marker_length_m": "markers",
+    "marker_map": "markers",
+    "lever_arm_m": "lever_arm",
+    "length_m": "length",
+    "square_m": "square",
+    "marker_m": "marker",
+    "gap_m": "gap",
+    "memory.loops": "loops",
+    "memory.map": "map_file",
+    "memory.vocabulary": "vocabulary",
+    "memory.localize": "localize",
+    "masks.files": "mask",
+    "masks.ignore": "ignore",
+    "masks.roi": "roi",
+}
+_commands: list[CommandFunction] = []
+
+
+def speak_as(command: CommandFunction) -> None:
+    """Let messages name the options of this command, and else those of `vo run`."""
+    if command not in _commands:
+        _commands.append(command)
+        known_flags.cache_clear()
+
+
+@cache
+def known_flags() -> Mapping[str, Flag]:
+    """The flags by the names of options in Python; none outside of a command."""
+    if not _commands:
+        return {}
+    from vo.cli.run import run_command
+
+    own = {
+        parameter.name: flag
+        for command in (CommandFunction(run_command), *_commands)
+        for parameter in command.__signature__.parameters.values()
+        if (flag := _flag(parameter)) is not None
+    }
+    renamed = {name: own[word] for name, word in _IN_PYTHON.items() if word in own}
+    if "overrides" in own:
+        renamed["set"] = own["overrides"]
+    return {**own, **renamed}
+
+
+def _flag(parameter: Parameter) -> Flag | None:
+    kind, *extras = get_args(parameter.annotation)
+    info = next((each for each in extras if isinstance(each, OptionInfo)), None)
+    if info is None:
+        return None
+    words = [word for word in _declared(info) if word.startswith("--")]
+    positive, _, negative = (words or [f"--{parameter.name.replace('_', '-')}"])[0].partition("/")
+    parts = (kind, *get_args(kind))
+    is_list = any(get_origin(part) is list for part in parts)
+    return Flag(positive, negative, bool in parts, is_list)
+
+
+def _declared(info: OptionInfo) -> Iterable[Any]:
+    first = () if info.default is ... or not isinstance(info.default, str) else (info.default,)
+    return (*first, *(info.param_decls or ()))

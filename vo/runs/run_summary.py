@@ -1,0 +1,27 @@
+"""The summary of a run from what its odometry has found."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from vo.engine.odometry import Odometry
+from vo.outputs.results.run_statistics import RunStatistics
+from vo.outputs.results.summary import RunFacts, Status, Summary, summarise
+
+
+def summarise_odometry(
+    odometry: Odometry, facts: RunFacts, status: Status, statistics: RunStatistics, **found: Any
+) -> Summary:
+    """Summary of a run so far; `found` are its fields that the odometry does not know."""
+    path, placement = odometry.trajectory, odometry.placement
+    known = {
+        "keyframes": path.keyframe_count,
+        "hidden": odometry.hidden,
+        "loops": placement.closed_loops,
+        "relocalisations": placement.relocalisations,
+        "map_use": placement.map_use,
+        "networks": odometry.networks,
+        "inertial": placement.inertial,
+    }
+    errors = odometry.calibration_errors
+    return summarise(facts, status, statistics, path.path(), errors, **{**known, **found})
