@@ -44,7 +44,7 @@ ENTRANCES = {
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.base": (
         {"errors", "failures", "faults", "printable", "scheduling", "stopwatch", "version"}
-        | {"compiling", "files"},
+        | {"compiling", "files", "option_names"},
         {"extras", "settings", "types"},
         {"feature_settings", "geometry", "images", "noise_classes", "records"},
         {"config"},

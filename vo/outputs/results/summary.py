@@ -67,12 +67,12 @@ class Segment(NamedTuple):
     path_m: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Summary:
     """Summary of a run; `to_dict` gives the content of `summary.json`."""
 
     status: Status
-    error: str | None
+    error: str | None = None
     facts: RunFacts
     frames: int
     tracked: int
@@ -83,7 +83,7 @@ class Summary:
     starting: int
     lost: int
     skipped: tuple[Skipped, ...]
-    unpaired: int
+    unpaired: int = 0
     without_pose: tuple[FrameRange, ...]
     segments: tuple[Segment, ...]
     keyframes: int
@@ -218,32 +218,23 @@ def summarise(
     ranges, count = ranges_without_pose(
         statistics, path.frame_index, skipped, _untracked(facts, status, statistics)
     )
-    interpolated = int(path.interpolated.sum())
-    inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
-    turned = 0 if path.inertial is None else int(np.count_nonzero(path.inertial == -2))
-    segments = _segments(path)
-    tracked = len(path.frame_index) - interpolated - inertial
+    posed, segments = _posed(path), _segments(path)
     # The disparities of a depth camera are relative to a virtual right camera.
     disparity_px = statistics.median_disparity_px if facts.mode == "stereo" else None
     # Orientations alone are stored relative to an origin, which is no keyframe.
     keyframes = found.pop("keyframes")
     return Summary(
         status=status,
-        error=found.pop("error", None),
         facts=facts,
         frames=len(path.frame_index) + sum(count.values()),
-        tracked=tracked,
-        interpolated=interpolated,
-        inertial_poses=inertial - turned,
-        inertial_orientations=turned,
+        **posed,
         untracked=count["untracked"],
         starting=count[State.STARTING.value],
         lost=count[State.LOST.value],
         skipped=skipped,
-        unpaired=found.pop("unpaired", 0),
         without_pose=tuple(ranges),
         segments=tuple(segments),
-        keyframes=keyframes if tracked else 0,
+        keyframes=keyframes if posed["tracked"] else 0,
         landmarks=statistics.landmarks,
         path_m=round(sum(s.path_m for s in segments), 6),
         wall_s=round(found.pop("wall_s"), 3),
@@ -262,6 +253,19 @@ def summarise(
         live=None if live is None else LiveSummary(live, delay_of(statistics.delays_ms)),
         **found,
     )
+
+
+def _posed(path: PlacedFrames) -> dict[str, int]:
+    """Numbers of frames with a pose, by where it comes from."""
+    interpolated = int(path.interpolated.sum())
+    inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
+    turned = 0 if path.inertial is None else int(np.count_nonzero(path.inertial == -2))
+    return {
+        "tracked": len(path.frame_index) - interpolated - inertial,
+        "interpolated": interpolated,
+        "inertial_poses": inertial - turned,
+        "inertial_orientations": turned,
+    }
 
 
 def _untracked(facts: RunFacts, status: Status, statistics: RunStatistics) -> Ints:
