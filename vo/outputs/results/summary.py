@@ -255,7 +255,7 @@ def summarise(
     )
 
 
-def _posed(path: PlacedFrames) -> dict[str, int]:
+def _posed(path: PlacedFrames) -> dict[str, Any]:
     """Numbers of frames with a pose, by where it comes from."""
     interpolated = int(path.interpolated.sum())
     inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
