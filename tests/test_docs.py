@@ -66,6 +66,24 @@ def test_prose_is_wrapped(page: Path) -> None:
     assert long == []
 
 
+_WINGS = "api|base|cli|engine|outputs|recordings|runs|tools"
+_PATH = rf"(?<![\w/.<-])(?:(?:vo|data_synth|scripts|tests|{_WINGS})/[\w/]*(?:/|\w\.py))(?![\w*…])"
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.name != "CHANGELOG.md"], ids=_name)
+def test_modules_that_are_named_exist(page: Path) -> None:
+    """Paths are those of the repository, or of the package; in capitals is what a reader chooses."""
+    text = "\n".join(
+        line for line in page.read_text("utf-8").splitlines() if "vo batch" not in line
+    )
+    named = {path for path in re.findall(_PATH, text) if not re.search("[A-Z]{2}", path)}
+    assert [path for path in sorted(named) if not _is_a_place(path)] == []
+
+
+def _is_a_place(path: str) -> bool:
+    return (ROOT / path).exists() or (ROOT / "vo" / path).exists()
+
+
 @cache
 def _options() -> dict[str, set[str]]:
     """Options of each command of `vo`."""
