@@ -72,7 +72,7 @@ _PATH = rf"(?<![\w/.<-])(?:(?:vo|data_synth|scripts|tests|{_WINGS})/[\w/]*(?:/|\
 
 @pytest.mark.parametrize("page", [p for p in PAGES if p.name != "CHANGELOG.md"], ids=_name)
 def test_modules_that_are_named_exist(page: Path) -> None:
-    """Paths are those of the repository, or of the package; in capitals is what a reader chooses."""
+    """Paths of the repository or of the package; capitals are what a reader chooses."""
     text = "\n".join(
         line for line in page.read_text("utf-8").splitlines() if "vo batch" not in line
     )
