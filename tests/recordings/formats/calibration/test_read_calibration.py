@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration import FORMATS, read_calibration, write_calibration
 from vo.recordings.formats.calibration.lenses import COUNTS, DISTORTION_NAMES
 
+_ROOT = Path(__file__).parents[4]
+_PAGE = _ROOT / "docs" / "calibration.md"
 CAM = "resolution: [640, 480], intrinsics: [500, 501, 320, 240]"
 ROTATION = [[0.9998477, -0.0174524, 0.0], [0.0174524, 0.9998477, 0.0], [0.0, 0.0, 1.0]]
 ROWS = (
@@ -397,22 +400,25 @@ def test_kitti_without_the_left_camera(tmp_path: Path) -> None:
 
 
 def test_documented_examples_can_be_read(tmp_path: Path) -> None:
-    """Every block is a complete file, under a heading with the name of its format."""
-    text = (Path(__file__).parents[4] / "docs/calibration.md").read_text(encoding="utf-8")
-    kinds, pairs = [], []
-    for part in text.split("\n## ")[1:]:
-        for section in ("\n" + part).split("\n### "):
-            title = section.split("\n")[0] or "vo"
-            blocks = [b for b in section.split("```")[1::2] if not b.startswith("sh\n")]
-            for block in blocks:  # not of commands
-                file = _file(tmp_path, block.split("\n", 1)[1], f"{len(kinds)}.txt")
-                size = (1280, 720) if title == "ZED" else (1226, 370)
-                calibration = read_calibration(file, size)
-                kinds.append(title)
-                assert calibration.kind == title
-                pairs.append(rectified_rig(calibration.rig).is_metric)
-    assert (kinds[:3], pairs[:3]) == (["vo"] * 3, [False, True, True])
-    assert set(kinds) == set(FORMATS)
+    """Every block is a complete file of our own format."""
+    pairs = []
+    for block in _PAGE.read_text("utf-8").split("```yaml\n")[1:]:
+        calibration = read_calibration(_file(tmp_path, block.split("```")[0], "own.txt"))
+        assert calibration.kind == "vo"
+        pairs.append(rectified_rig(calibration.rig).is_metric)
+    assert pairs[:3] == [False, True, True]
+
+
+def test_example_files_can_be_read() -> None:
+    """The page links to one of each format, under a heading with its name."""
+    links = r"### ([^\n]+)\n\nExample: \[[^\]]+\]\(\.\./([^)]+)\)"
+    kinds = []
+    for title, file in re.findall(links, _PAGE.read_text("utf-8")):
+        size = (1280, 720) if title == "ZED" else (1226, 370)
+        assert read_calibration(_ROOT / file, size).kind == title
+        kinds.append(title)
+    assert {"vo", *kinds} == set(FORMATS)
+    assert len(kinds) == len(list((_ROOT / "examples/calibration").iterdir()))
 
 
 def test_warning_for_a_baseline_in_millimetres(
