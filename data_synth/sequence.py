@@ -64,7 +64,7 @@ def _check_output(path: Path, force: bool) -> None:
     except OSError as error:
         raise OutputError(f"{path} cannot be read: {error.strerror or error}") from error
     if taken and not force:
-        raise OutputError(f"{path} exists already; choose another path, or --force to replace it")
+        raise OutputError(f"{path} exists already; choose another path, or `force` to replace it")
     if force and path.is_dir() and not _is_replaceable(path):
         raise OutputError(f"{path} is not a synthetic recording and is not replaced")
     results = next(path.rglob("summary.json"), None) if force and path.is_dir() else None

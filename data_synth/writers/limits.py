@@ -44,7 +44,7 @@ def check_tum(rig: Rig, has_drops: bool) -> None:
     """
     if rig.is_stereo:
         raise ConfigError(
-            "format tum has one camera with depth, but this is a pair; use one camera (--mono), or "
+            "format tum has one camera with depth, but this is a pair; use one camera (`mono`), or "
             "choose format euroc"
         )
 

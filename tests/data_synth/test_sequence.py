@@ -173,7 +173,7 @@ def test_interruption_leaves_no_files(tmp_path: Path, format: str) -> None:
 
 def test_refuses_existing_output_and_replaces_it_only_by_force(tmp_path: Path) -> None:
     make_sequence(tmp_path / "out", _recipe())
-    with pytest.raises(OutputError, match=r"exists already; choose another path, or --force"):
+    with pytest.raises(OutputError, match=r"exists already; choose another path, or `force`"):
         make_sequence(tmp_path / "out", _recipe())
     make_sequence(tmp_path / "out", _recipe("seconds=0.2"), force=True)
     assert len(read_tum(tmp_path / "out" / "groundtruth.tum")) == 2

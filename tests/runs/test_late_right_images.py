@@ -31,7 +31,9 @@ def test_a_run_on_late_right_images_says_so_and_is_not_trusted(
     (fault,) = [each for each in summary["faults"] if each["kind"] == "right_time_offset"]
     assert fault["value"] == pytest.approx(-1e-6 * interval_ns, rel=0.05)
     text = "\n".join(summary["warnings"])
-    assert "by -6" in text and "--right-offset" in text and "the stereo calibration is" not in text
+    assert (
+        "by -6" in text and "`right_offset_ns`" in text and "the stereo calibration is" not in text
+    )
     assert "differs from its calibration" not in text
 
 

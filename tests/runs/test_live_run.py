@@ -266,13 +266,13 @@ def test_a_run_ends_after_its_duration(walk: Walk, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({"calibration": None}, CalibrationError, "a live camera needs --calibration FILE"),
-        ({"side_by_side": False}, CalibrationError, "give --side-by-side"),
+        ({"calibration": None}, CalibrationError, "a live camera needs `calibration=FILE`"),
+        ({"side_by_side": False}, CalibrationError, "give `side_by_side`"),
         ({"mode": "stereo", "side_by_side": False}, SourceError, "is one camera; a pair is"),
-        ({"follow": True}, SourceError, "--follow is for recordings"),
-        ({"topics": ["/a"]}, SourceError, "--topic is for recordings"),
-        ({"format": "video"}, SourceError, "--format is for recordings"),
-        ({"right_offset_ns": 5}, SourceError, "--right-offset is for recordings"),
+        ({"follow": True}, SourceError, "`follow` is for recordings"),
+        ({"topics": ["/a"]}, SourceError, "`topics` is for recordings"),
+        ({"format": "video"}, SourceError, "`format` is for recordings"),
+        ({"right_offset_ns": 5}, SourceError, "`right_offset_ns` is for recordings"),
         ({"config": load_config("fast", ["tracking.every=2"])}, ConfigError, "live source needs 1"),
     ],
 )

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 _OPTION = re.compile(r"`([a-z_][a-z0-9_]*(?:\.[a-z0-9_]+)?)(?:=([^`]*))?`")
-_SET = "--set"
 
 
 class Flag(NamedTuple):
@@ -41,22 +40,11 @@ def _flagged(found: re.Match[str], flags: Mapping[str, Flag]) -> str:
     name, value = found[1], found[2]
     flag = flags.get(name)
     if flag is None:
-        is_setting = "." in name and value is not None and _SET[2:] in flags
-        return f"{_SET} {name}={value}" if is_setting else found[0]
+        is_setting = "." in name and value is not None and "set" in flags
+        return f"{flags['set'].name} {name}={value}" if is_setting else found[0]
     if value is None:
         return flag.name
     if flag.is_switch:
         return flag.negative or flag.name if value.lower() == "false" else flag.name
     values = value.split() if flag.is_list else [value]
     return " ".join(f"{flag.name} {each}" for each in values)
-
-
-def flagged(value: Any, flags: Mapping[str, Flag]) -> Any:
-    """The same for all texts in lists and dictionaries."""
-    if isinstance(value, str):
-        return with_flags(value, flags)
-    if isinstance(value, dict):
-        return {key: flagged(each, flags) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [flagged(each, flags) for each in value]
-    return value

@@ -24,6 +24,7 @@ from vo.cli.demo import demo_command
 from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.features import features_command
+from vo.cli.flags import speak_as
 from vo.cli.info import info_command
 from vo.cli.map import map_command
 from vo.cli.markers import markers_command
@@ -169,6 +170,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "vocabulary": vocabulary_command,
     },
 }
+speak_as(CommandFunction(run_command))
 for _heading, _functions in _COMMANDS.items():
     for _name, _function in _functions.items():
         app.command(_name, cls=Command, rich_help_panel=_heading)(CommandFunction(_function))

@@ -12,6 +12,7 @@ import typer
 from vo.cli import options
 from vo.cli.blocks import Only
 from vo.cli.echo import echo
+from vo.cli.flags import known_flags
 
 if TYPE_CHECKING:
     from vo.runs.batch.batch import BatchResult, Engine
@@ -229,7 +230,7 @@ def make_engine(runs: RunOn, *, report: bool = False) -> Engine:
     """Where recordings run: on this machine, or on a cluster."""
     from vo.runs.batch.execution import Limits
 
-    limits = Limits(runs.threads, runs.timeout, runs.memory, runs.retries, report)
+    limits = Limits(runs.threads, runs.timeout, runs.memory, runs.retries, report, known_flags())
     if runs.ray is None:
         from vo.runs.batch.batch import LocalEngine
 

@@ -15,6 +15,7 @@ from vo.cli.calibrate_recording import (
     search_progress,
 )
 from vo.cli.echo import echo, echo_json
+from vo.cli.flags import in_flags
 from vo.cli.stopping import interrupts_named
 
 if TYPE_CHECKING:
@@ -146,4 +147,4 @@ def _write(result: CalibrationResult, output: Path, picture: Path | None) -> Non
         from vo.tools.calibrating.plots import save_plot
 
         save_plot(picture, result)
-    write_calibration(output, result.rig, comments(result))
+    write_calibration(output, result.rig, in_flags(comments(result)))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import inspect
 import logging
 from typing import Any
 
 import typer
 from typer.core import TyperCommand
 
+from vo.cli.blocks import CommandFunction
 from vo.cli.completion import OUTPUT_FORMATS
 from vo.cli.echo import echo
+from vo.cli.flags import speak_as
 
 _RENAMED = {
     "convert": {"--source-format": "--format"},
@@ -25,6 +28,9 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments after the name of the command."""
+        function = None if self.callback is None else inspect.unwrap(self.callback)
+        if isinstance(function, CommandFunction):
+            speak_as(function)
         if not ctx.resilient_parsing:  # of a line that the shell completes
             args = with_new_names(self.name or "", args)
         rest = super().parse_args(ctx, args)

@@ -12,12 +12,17 @@ from rich.segment import Segment
 from rich.table import Table
 
 from vo.base.printable import printable
+from vo.cli.flags import in_flags
 
 _ANY_WIDTH = 1000
 
 
 class SafeConsole(Console):
-    """A console that prints control characters of text as `printable` writes them."""
+    """A console that prints options as flags, and control characters as `printable` writes them."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print texts and others, as rich does."""
+        super().print(*map(in_flags, objects), **options)
 
     def _render_buffer(self, buffer: Iterable[Segment]) -> str:
         """The text of the terminal, with rich's own control codes."""

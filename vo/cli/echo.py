@@ -1,4 +1,4 @@
-"""Plain output: text from files appears without control characters."""
+"""Plain output: options appear as flags, and text from files without control characters."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from typing import Any
 import typer
 
 from vo.base.printable import printable
+from vo.cli.flags import in_flags
 
 
 def echo(text: str, *, err: bool = False) -> None:
     """Print a line on standard output, or on standard error."""
-    typer.echo(printable(text), err=err)
+    typer.echo(printable(in_flags(text)), err=err)
 
 
 def echo_json(value: Any) -> None:
     """Print a value as JSON, in which control characters are escaped."""
-    text = json.dumps(value, indent=2, allow_nan=False)
+    text = json.dumps(in_flags(value), indent=2, allow_nan=False)
     typer.echo(text.replace("\x7f", "\\u007f"))  # the only one that `json` leaves

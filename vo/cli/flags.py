@@ -9,7 +9,7 @@ from typing import Any, get_args, get_origin
 
 from typer.models import OptionInfo
 
-from vo.base.option_names import Flag
+from vo.base.option_names import Flag, with_flags
 from vo.cli.blocks import CommandFunction
 
 # Names in Python, and in the command line where they differ.
@@ -37,34 +37,40 @@ _IN_PYTHON = {
     "masks.files": "mask",
     "masks.ignore": "ignore",
     "masks.roi": "roi",
+    "memory_mb": "memory",
+    "set": "overrides",
 }
 _commands: list[CommandFunction] = []
 
 
 def speak_as(command: CommandFunction) -> None:
-    """Let messages name the options of this command, and else those of `vo run`."""
-    if command not in _commands:
-        _commands.append(command)
+    """Let messages name the options of this command, besides those of the first that spoke."""
+    if command not in _commands[1:]:
+        _commands[1:] = [command]
         known_flags.cache_clear()
 
 
 @cache
 def known_flags() -> Mapping[str, Flag]:
     """The flags by the names of options in Python; none outside of a command."""
-    if not _commands:
-        return {}
-    from vo.cli.run import run_command
-
     own = {
         parameter.name: flag
-        for command in (CommandFunction(run_command), *_commands)
+        for command in _commands
         for parameter in command.__signature__.parameters.values()
         if (flag := _flag(parameter)) is not None
     }
-    renamed = {name: own[word] for name, word in _IN_PYTHON.items() if word in own}
-    if "overrides" in own:
-        renamed["set"] = own["overrides"]
-    return {**own, **renamed}
+    return own | {name: own[word] for name, word in _IN_PYTHON.items() if word in own}
+
+
+def in_flags(value: Any) -> Any:
+    """Texts, also in lists and dictionaries, with options as flags of the command."""
+    if isinstance(value, str):
+        return with_flags(value, known_flags()) if "`" in value else value
+    if isinstance(value, dict):
+        return {key: in_flags(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [in_flags(each) for each in value]
+    return value
 
 
 def _flag(parameter: Parameter) -> Flag | None:

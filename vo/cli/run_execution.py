@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from vo.cli.flags import known_flags
 from vo.cli.garbage import collection_paused
 from vo.cli.run_options import Outputs
 from vo.cli.run_status import exit_if_insufficient, parse_share
@@ -48,6 +49,7 @@ def execute(request: RunRequest) -> None:
             "progress": IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals),
             "profile_since": begun if request.outputs.profile else None,
             "optimizer_process": optimizer_process,
+            "flags": known_flags(),
         }
         summary = _run(request, config, options, stack)
         _print_result(summary, request, console)

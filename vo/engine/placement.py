@@ -133,6 +133,6 @@ class Placement:
     def _savable(self, path: Path) -> Memory:
         if self._memory is None:
             raise OutputError(
-                f"there is no map to save to {path}: loops are not closed; use --loops"
+                f"there is no map to save to {path}: loops are not closed; use `memory.loops=true`"
             )
         return self._memory

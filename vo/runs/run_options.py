@@ -14,6 +14,7 @@ from typing import Any, Literal, Self, Union, get_args, get_origin, get_type_hin
 import numpy as np
 
 from vo.base.errors import ConfigError
+from vo.base.option_names import Flag
 from vo.base.records.metric_scale import ScaleSource
 from vo.base.settings import nearest
 from vo.base.types import Mode
@@ -67,6 +68,7 @@ class RunOptions:
         optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
         scale: what measures the scale of a mono path, which is converted to metres.
         scale_sources: further sources of scale, of a program of one's own.
+        flags: how a command line gives options; its warnings name them so.
     """
 
     mode: Mode = "auto"
@@ -96,6 +98,7 @@ class RunOptions:
     optimizer_process: Popen[bytes] | None = None
     scale: ScaleOptions = field(default_factory=ScaleOptions)
     scale_sources: Sequence[ScaleSource] = ()
+    flags: Mapping[str, Flag] = field(default_factory=dict)
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Self:

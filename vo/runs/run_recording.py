@@ -111,14 +111,14 @@ def _check_outputs(
 ) -> None:
     """Refuse outputs that would overwrite the input, files of others, or each other."""
     if options.save_map is not None and not config.memory.loops:
-        raise ConfigError("--save-map needs loops; leave out --no-loops")
+        raise ConfigError("`save_map` needs loops; leave out `memory.loops=false`")
     memory = config.memory
     if memory.map and not memory.loops:
-        raise ConfigError("--map needs loops; leave out --no-loops")
+        raise ConfigError("`memory.map` needs loops; leave out `memory.loops=false`")
     if memory.localize and not memory.map:
-        raise ConfigError("--localize finds poses in a map; give it by --map FILE")
+        raise ConfigError("`memory.localize` finds poses in a map; give it by `memory.map=FILE`")
     if memory.localize and options.save_map is not None:
-        raise ConfigError("--localize adds nothing to the map; leave out --save-map")
+        raise ConfigError("`memory.localize` adds nothing to the map; leave out `save_map`")
     path = Path(source) if isinstance(source, str | Path) else None
     exports, save_map = options.exports or Exports(), options.save_map
     files = (options.rrd, exports.mcap, exports.ply, exports.colmap, options.record)
@@ -158,10 +158,9 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     address = parse_address(str(source))
     if address is not None:
         return _open_live(address, config, options)
-    live = {"timeout": options.timeout_s, "duration": options.duration_s, "record": options.record}
-    for option, value in live.items():
-        if value is not None:
-            raise SourceError(f"--{option} is for live sources, and {source} is a recording")
+    for option in ("timeout_s", "duration_s", "record"):
+        if getattr(options, option) is not None:
+            raise SourceError(f"`{option}` is for live sources, and {source} is a recording")
     return open_source(
         source,
         format=options.format,
@@ -186,8 +185,7 @@ def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> Fra
         raise ConfigError(f"tracking.every is {config.tracking.every}; a live source needs 1")
     for option in ("format", "topics", "right_offset_ns", "follow"):
         if getattr(options, option) not in (None, False, (), []):
-            word = {"topics": "topic", "right_offset_ns": "right-offset"}.get(option, option)
-            raise SourceError(f"--{word} is for recordings, and {name} is a live source")
+            raise SourceError(f"`{option}` is for recordings, and {name} is a live source")
     timeout_s, duration_s = options.timeout_s, options.duration_s
     live = LiveOptions(
         options.side_by_side,

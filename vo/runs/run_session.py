@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
+from vo.base.option_names import with_flags
 from vo.base.printable import one_line
 from vo.base.records.inertial_use import InertialUse
 from vo.base.stopwatch import Stopwatch
@@ -330,7 +331,11 @@ class RunSession:
             scale=self._scale.findings,
             inertial=self._odometry.placement.inertial or self._opened.unused_imu,
         )
-        self._folder.write_summary(summary.to_dict())
+        record, flags = summary.to_dict(), self._options.flags
+        record["warnings"] = [with_flags(text, flags) for text in record["warnings"]]
+        if summary.error is not None:
+            record["error"] = with_flags(summary.error, flags)
+        self._folder.write_summary(record)
         return summary
 
     def _live_state(self) -> LiveState | None:

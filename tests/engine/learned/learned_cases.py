@@ -110,9 +110,9 @@ def fetch_own_weights(name: str, weights: dict[str, Any], first: str, folder: Pa
     source, other = folder / model.member, folder / "other.pth"
     source.write_bytes(old_torch_file(weights))
     other.write_bytes(old_torch_file({"a": np.zeros(3, np.float32)}))
-    with pytest.raises(ModelError, match="--accept-licence"):
+    with pytest.raises(ModelError, match="`accept_licence`"):
         fetch(model, str(source))
-    with pytest.raises(ModelError, match="--from FILE"):
+    with pytest.raises(ModelError, match="`source=FILE`"):
         fetch(model, accept_licence=True)
     with pytest.raises(ModelError, match=re.escape(f"weights of '{name}' lack '{first}'")):
         fetch(model, str(other), accept_licence=True)

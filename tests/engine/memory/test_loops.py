@@ -86,7 +86,7 @@ def test_the_saved_map_has_the_keyframes_where_the_path_has_them(
 
 
 def test_a_map_is_not_saved_without_loops(rounds: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="--no-loops"):
+    with pytest.raises(ConfigError, match="leave out `memory.loops=false`"):
         run_rounds(rounds, tmp_path / "out", "memory.loops=false", save_map=tmp_path / "a.map")
     assert not (tmp_path / "out").exists()
 

@@ -161,11 +161,11 @@ def test_a_map_of_another_camera_is_not_saved_and_the_run_does_not_begin(
 
 def test_settings_that_contradict_each_other_are_refused(first: Path, tmp_path: Path) -> None:
     setting = f"memory.map={json.dumps(str(first / 'room.map'))}"
-    with pytest.raises(ConfigError, match="--no-loops"):
+    with pytest.raises(ConfigError, match="leave out `memory.loops=false`"):
         _run(first / "room", tmp_path / "a", setting, "memory.loops=false")
-    with pytest.raises(ConfigError, match="--map FILE"):
+    with pytest.raises(ConfigError, match="`memory.map=FILE`"):
         _run(first / "room", tmp_path / "b", "memory.localize=true")
-    with pytest.raises(ConfigError, match="--save-map"):
+    with pytest.raises(ConfigError, match="leave out `save_map`"):
         _run(
             *(first / "room", tmp_path / "c", setting, "memory.localize=true"),
             save_map=tmp_path / "x.map",

@@ -87,7 +87,7 @@ def test_on_a_straight_path_orientations_determine_the_roll(align: str) -> None:
 
 def test_two_poses_cannot_be_aligned_but_can_be_compared(make_walk: MakeWalk) -> None:
     true = make_walk(2).world_from_cam
-    with pytest.raises(EvaluationError, match=r"2 matched poses.*at least 3.*--align none"):
+    with pytest.raises(EvaluationError, match=r"2 matched poses.*at least 3.*`align=none`"):
         align_poses(true, true, align="se3")
     assert align_poses(true, true, align="none").best_scale is None
 

@@ -133,7 +133,7 @@ def test_a_full_disk_ends_the_recording_only(
 
 def test_nothing_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "log.mcap").write_text("precious")
-    for name, message in (("log.mcap", "exists; give --record another"), ("log.bag", "ends in")):
+    for name, message in (("log.mcap", "exists; give `record` another"), ("log.bag", "ends in")):
         with pytest.raises(OutputError, match=message):
             FrameLog(tmp_path / name, rig_of())
     assert (tmp_path / "log.mcap").read_text() == "precious"

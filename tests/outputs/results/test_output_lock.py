@@ -33,7 +33,7 @@ def test_two_runs_cannot_write_to_one_folder(tmp_path: Path) -> None:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
     with locked_folder(tmp_path):
-        assert "another run is writing there; choose another --output" in other_run()
+        assert "another run is writing there; choose another `output`" in other_run()
     assert other_run() == "locked\n"
 
 

@@ -64,7 +64,7 @@ def test_error_without_calibration_lists_the_topics(tmp_path: Path) -> None:
         open_source(path)
     assert "no calibration for /camera/image" in str(caught.value)
     assert "/other/camera_info" in str(caught.value)
-    assert "--calibration FILE" in str(caught.value)
+    assert "`calibration=FILE`" in str(caught.value)
     layouts.write_text(tmp_path / "mine.yaml", layouts.CALIBRATION)
     rig = open_source(path, calibration=tmp_path / "mine.yaml").rig
     assert rig.cam0.fx == layouts.INTRINSICS[0]

@@ -124,7 +124,7 @@ def test_error_for_several_cameras_lists_them_with_options(tmp_path: Path) -> No
         open_source(path)
     lines = str(caught.value).splitlines()
     assert "which of 3 cameras?" in lines[0]
-    assert "--topic left=/front/image_raw --topic right=/rear/image_raw" in lines[0]
+    assert "`topics=left=/front/image_raw right=/rear/image_raw`" in lines[0]
     assert [line.split() for line in lines[1:]] == [
         ["/front/image_raw", "sensor_msgs/msg/Image", "6", "messages", "10.0", "Hz"],
         ["/rear/image_raw", "sensor_msgs/msg/Image", "3", "messages", "4.0", "Hz"],
@@ -156,8 +156,8 @@ def test_topics_can_be_chosen(tmp_path: Path) -> None:
             ["/front/image_row"],
             "there is no topic /front/image_row; did you mean /front/image_raw?",
         ),
-        (["middle=/front/image_raw"], "--topic middle=/front/image_raw is invalid"),
-        (["right=/front/image_raw"], "requires --topic left="),
+        (["middle=/front/image_raw"], "`topics=middle=/front/image_raw` is invalid"),
+        (["right=/front/image_raw"], "requires `topics=left="),
         (["/front/image_raw", "left=/rear/image_raw"], "gives two topics for left"),
         (["left="], "is invalid"),
     ],
@@ -170,7 +170,7 @@ def test_error_for_wrong_topics(tmp_path: Path, wishes: list[str], reason: str) 
 
 def test_error_for_topics_of_a_folder(tmp_path: Path) -> None:
     layouts.write_folder(tmp_path / "folder")
-    with pytest.raises(SourceError, match=r"\(folder\) has no topics; leave --topic out"):
+    with pytest.raises(SourceError, match=r"\(folder\) has no topics; leave `topics` out"):
         open_source(tmp_path / "folder", topics=["/a"])
 
 

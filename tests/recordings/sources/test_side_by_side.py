@@ -129,5 +129,5 @@ def test_what_has_no_two_halves_is_refused(
         open_source(odd, side_by_side=True)
     (tmp_path / "log.mcap").write_bytes(b"\x89MCAP0\r\n")
     for open_it in (open_source, open_uncalibrated):
-        with pytest.raises(SourceError, match="is a log: --side-by-side is for videos and folders"):
+        with pytest.raises(SourceError, match="is a log: `side_by_side` is for videos and folders"):
             open_it(tmp_path / "log.mcap", side_by_side=True)

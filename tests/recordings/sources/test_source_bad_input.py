@@ -120,7 +120,7 @@ def test_error_for_images_of_another_size_than_the_calibration(folder: Path) -> 
     message = _message(folder, CalibrationError)
     file = folder / "calibration.yaml"
     assert f"are 64x48, but the calibration {file} (vo) is for 640x480; give a" in message
-    assert "--calibration FILE" in message
+    assert "`calibration=FILE`" in message
 
 
 def test_error_for_right_images_of_another_size_than_the_calibration(kitti: Path) -> None:
@@ -148,7 +148,7 @@ def test_error_for_a_missing_calibration(tmp_path: Path, layout: str, file: str)
     (tmp_path / layout / file).unlink()
     message = _message(tmp_path / layout, CalibrationError)
     assert f"{layout}/{file}" in message
-    assert "--calibration FILE" in message
+    assert "`calibration=FILE`" in message
     assert "docs/calibration.md" in message
 
 
@@ -351,11 +351,11 @@ def test_a_calibration_of_another_name_is_mentioned(tmp_path: Path) -> None:
     other = (tmp_path / "calibration.yaml").rename(tmp_path / "camera params.yml")
     with pytest.raises(CalibrationError) as caught:
         open_source(tmp_path)
-    assert f"{other} is one: if it is that of these images, give --calibration {other}" in str(
+    assert f"{other} is one: if it is that of these images, give `calibration={other}`" in str(
         caught.value
     )
     other.unlink()
-    with pytest.raises(CalibrationError, match=r"give one with --calibration FILE \(format"):
+    with pytest.raises(CalibrationError, match=r"give one with `calibration=FILE` \(format"):
         open_source(tmp_path)
 
 

@@ -66,7 +66,7 @@ def test_rendered_stereo_truth_of_body_and_camera_agree(shared_data: Path) -> No
 
 def test_tum_needs_a_calibration(shared_data: Path, tmp_path: Path) -> None:
     folder = shared_data / "tum_fr3_cabinet_58_lowtexture"
-    with pytest.raises(CalibrationError, match="--calibration FILE"):
+    with pytest.raises(CalibrationError, match="`calibration=FILE`"):
         open_source(folder)
     calibration = tmp_path / "fr3.yaml"
     calibration.write_text(

@@ -89,7 +89,7 @@ def test_missing_or_damaged_depth_image_loses_only_itself(
 def test_error_without_any_depth_image_names_mono_mode(rgbd: Path) -> None:
     for path in (rgbd / "depth").iterdir():
         path.unlink()
-    with pytest.raises(SourceError, match="to ignore depth, use --mode mono"):
+    with pytest.raises(SourceError, match="to ignore depth, use `mode=mono`"):
         open_source(rgbd)
     assert len(list(open_source(rgbd, mode="mono").frames())) == layouts.COUNT
 

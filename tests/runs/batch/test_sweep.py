@@ -191,7 +191,7 @@ def test_a_lost_recording_is_never_the_best(tmp_path: Path) -> None:
 
 
 def test_a_range_needs_a_number_of_trials(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="needs a number of --trials"):
+    with pytest.raises(ConfigError, match="needs a number of `trials`"):
         run_sweep(
             PLAN,
             [parse_space("features.count=500..800")],

@@ -96,7 +96,7 @@ def test_heights_that_cannot_be(synthetic_stereo: Path, tmp_path: Path) -> None:
                 mode="mono",
                 scale=ScaleOptions(height_m=height_m),
             )
-    with pytest.raises(ConfigError, match="--height is for one camera"):
+    with pytest.raises(ConfigError, match="`height_m` is for one camera"):
         run(
             synthetic_stereo,
             tmp_path,

@@ -292,7 +292,7 @@ def test_right_images_of_the_frame_before_are_told_with_the_shift_to_try(walk: P
     interval_ms = 1e-6 * float(np.median(np.diff(np.array(stamps, dtype=np.int64))))
     report = report_of(walk)
     found = finding(report, "right images show the scene")
-    assert found.level == "error" and "--right-offset" in found.advice
+    assert found.level == "error" and "`right_offset_ns`" in found.advice
     assert report.stereo is not None
     assert report.stereo.time_offset_ms == pytest.approx(-interval_ms, rel=0.05)
     assert "--right-offset -6" in report.command and "--mode" not in report.command

@@ -38,7 +38,7 @@ def test_frames_whose_truth_is_missing_are_in_no_pair(synthetic_stereo: Path) ->
     recording.ground_truth = Trajectory(truth.stamps_ns[known], truth.world_from_cam[known])
     planned = plan_pairs(recording, [5], 100)
     assert min(first for _, first in planned.frames) == 12
-    with pytest.raises(SourceError, match=r"18 of 30 frames have a true pose.*smaller --gaps"):
+    with pytest.raises(SourceError, match=r"18 of 30 frames have a true pose.*smaller `gaps`"):
         plan_pairs(recording, [20], 100)
 
 
@@ -59,7 +59,7 @@ def test_frames_that_cannot_be_read_are_left_out() -> None:
 def test_without_ground_truth_it_says_what_is_possible(synthetic_stereo: Path) -> None:
     recording: Any = vo.open(synthetic_stereo, mode="mono")
     recording.ground_truth = None
-    with pytest.raises(SourceError, match="no ground truth.*--frame N.*vo synth"):
+    with pytest.raises(SourceError, match="no ground truth.*`frame=N`.*vo synth"):
         plan_pairs(recording, [1], 1)
     far = Trajectory(np.arange(3), np.broadcast_to(np.eye(4), (3, 4, 4)))
     recording.ground_truth = replace(far)

@@ -73,7 +73,7 @@ def test_what_cannot_be_drawn(finished: Path, tmp_path: Path) -> None:
         (vo.RenderOptions(frame=99), "frame 99 has no pose"),
         (vo.RenderOptions(in_front=(99, 1.0)), "frame 99 has no pose"),
         (vo.RenderOptions(in_front=(0, -1.0)), "cannot be seen"),
-        (vo.RenderOptions(size=0.0), "--size is 0"),
+        (vo.RenderOptions(size=0.0), "`size` is 0"),
     ]
     for options, message in cases:
         with pytest.raises(ConfigError, match=message):

@@ -89,7 +89,7 @@ def check_baseline(cam1_from_cam0: Floats) -> None:
     if not length > 0.0:
         raise CalibrationError(
             "cam0 and cam1 are at the same place (a baseline of 0 m); check cam1_from_cam0, or use "
-            "--mode mono"
+            "`mode=mono`"
         )
     view = _mean_view(cam1_from_cam0)
     along = float(cam1_in_cam0 @ view) / length
@@ -97,8 +97,8 @@ def check_baseline(cam1_from_cam0: Floats) -> None:
         where = "in front of" if along > 0 else "behind"
         raise CalibrationError(
             f"cam1 is {abs(along) * length:.4g} m {where} cam0, along its optical axis; a stereo "
-            "pair needs cameras beside or above each other: check cam1_from_cam0, or use --mode "
-            "mono"
+            "pair needs cameras beside or above each other: check cam1_from_cam0, or use "
+            "`mode=mono`"
         )
 
 
@@ -219,7 +219,7 @@ def _check_overlap(a: Camera, b: Camera, cam1_from_cam0: Floats, pair: Rectified
     cosine = np.clip(cam1_from_cam0[2, 2], -1.0, 1.0)  # of the angle between the optical axes
     raise CalibrationError(
         f"cam0 and cam1 look {np.rad2deg(np.arccos(cosine)):.0f}° apart: after rectification only "
-        f"{overlap:.0%} of the image is seen by both; check cam1_from_cam0, or use --mode mono"
+        f"{overlap:.0%} of the image is seen by both; check cam1_from_cam0, or use `mode=mono`"
     )
 
 

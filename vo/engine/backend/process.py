@@ -79,7 +79,7 @@ class SolverProcess(Generic[Problem, Solution]):
             except (OSError, EOFError):
                 self._replace()
         if not self._has_result:
-            raise RuntimeError("the optimizer's process does not start; try `--set threads=1`")
+            raise RuntimeError("the optimizer's process does not start; try `threads=1`")
         return self._left_alone(problem)
 
     def close(self) -> None:

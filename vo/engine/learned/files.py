@@ -40,10 +40,10 @@ def require_model(model: Model) -> Path:
     """
     path = path_of(model)
     if not path.is_file():
-        own = "" if model.is_free else " --from FILE --accept-licence"
-        raise ModelError(
-            f"model '{model.name}' is not in {path.parent}: vo models fetch {model.name}{own}"
-        )
+        command = f"vo models fetch {model.name}"
+        if not model.is_free:
+            command = f"vo models fetch {model.name} --from FILE --accept-licence"
+        raise ModelError(f"model '{model.name}' is not in {path.parent}: {command}")
     return path
 
 

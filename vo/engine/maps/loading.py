@@ -48,7 +48,7 @@ def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> Load
         if header.vocabulary != database.vocabulary.id:
             raise ConfigError(
                 f"the map {path} was made with another vocabulary; "
-                "give the same one by --vocabulary, or make the map anew"
+                "give the same one by `memory.vocabulary`, or make the map anew"
             )
         frames: dict[PlaceKey, FrameId] = {}
         metric: list[bool] = []

@@ -44,7 +44,7 @@ def dictionary_name(given: str) -> str:
         name = "APRILTAG_" + name.removeprefix("TAG")
     if name not in known_dictionaries():
         listed = ", ".join(["auto", *known_dictionaries()])
-        raise ConfigError(f"unknown --dictionary '{given}'; use one of {listed}")
+        raise ConfigError(f"unknown `dictionary` '{given}'; use one of {listed}")
     return name
 
 

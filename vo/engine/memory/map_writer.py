@@ -26,7 +26,7 @@ def check_savable(path: Path, recogniser: Recogniser) -> None:
     if loaded is not None and loaded.camera != recogniser.camera:
         raise OutputError(
             f"the map {path} cannot be saved: the loaded map was made with another camera, "
-            "and a map has one camera; leave out --save-map"
+            "and a map has one camera; leave out `save_map`"
         )
 
 

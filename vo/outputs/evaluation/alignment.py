@@ -83,7 +83,7 @@ def _similarity(
             return None
         raise EvaluationError(
             f"{len(source)} matched poses cannot be aligned ({kind}): {error}; "
-            "compare a longer part or use --align none"
+            "compare a longer part or use `align=none`"
         ) from error
     return _with_roll_resolved(similarity, estimate, reference)
 

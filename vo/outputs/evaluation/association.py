@@ -147,5 +147,5 @@ def _no_overlap(estimate: Trajectory, reference: Trajectory, tolerance_s: float)
     )
     return (
         f"no stamps within {tolerance_s:g} s of each other: {spans}; "
-        "use the ground truth of the same recording, or a larger --tolerance"
+        "use the ground truth of the same recording, or a larger `tolerance_s`"
     )

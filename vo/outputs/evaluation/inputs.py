@@ -196,7 +196,7 @@ def _read_reference(path: Path, calibration: Calibration | None) -> GivenTraject
     if found is None:
         note = (
             "ground truth taken as that of the camera: no cam0/sensor.yaml and no camchain.yaml "
-            f"in {root} contains the camera's pose on the body; give it with --calibration FILE"
+            f"in {root} contains the camera's pose on the body; give it with `calibration=FILE`"
         )
         return replace(read, notes=(note,))
     poses = read.trajectory.world_from_cam @ found.body_from_cam0
@@ -259,7 +259,7 @@ def _with_longest_segment(inputs: Inputs, summary: dict[str, Any]) -> Inputs:
         return inputs
     note = (
         f"{len(segments)} segments, each with its own world frame: only the longest is evaluated, "
-        f"{np.count_nonzero(kept)} of {len(stamps_ns)} poses (all of them: --all-segments)"
+        f"{np.count_nonzero(kept)} of {len(stamps_ns)} poses (all of them: `all_segments`)"
     )
     estimate = Trajectory(stamps_ns[kept], inputs.estimate.world_from_cam[kept])
     return replace(inputs, estimate=estimate, notes=(*inputs.notes, note))

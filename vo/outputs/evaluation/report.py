@@ -166,7 +166,7 @@ def _notes(
     if len(matched) < 0.5 * possible:
         notes.append(
             f"only {len(matched)} of {possible} poses have a counterpart within "
-            f"{matched.tolerance_s:g} s; --interpolate may find more"
+            f"{matched.tolerance_s:g} s; `interpolated` may find more"
         )
     if alignment.reference_from_estimate.is_on_line:
         notes.append("the path is a straight line: the roll about it is aligned by rotations")

@@ -65,7 +65,7 @@ class ColmapRecorder:
         except OSError as error:
             raise OutputError(
                 f"cannot write to folder {self._folder}: {error.strerror or error}; "
-                "choose another --colmap"
+                "choose another `colmap`"
             ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
@@ -145,7 +145,7 @@ class ColmapRecorder:
         if foreign:
             raise OutputError(
                 f"{foreign[0]} is not of an earlier run and would be replaced; "
-                "choose another --colmap"
+                "choose another `colmap`"
             )
 
     def _remove_models(self, from_number: int) -> None:

@@ -42,7 +42,7 @@ class FileServer:
             self._server = ThreadingHTTPServer((bind, 0), handler)
         except OSError as error:
             reason = error.strerror or error
-            raise OutputError(f"cannot serve on {bind}: {reason}; try another --bind") from error
+            raise OutputError(f"cannot serve on {bind}: {reason}; try another `bind`") from error
         self._server.daemon_threads = True
         self.port: int = self._server.server_address[1]
 

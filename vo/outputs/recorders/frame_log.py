@@ -167,14 +167,14 @@ class FrameLog:
 
 def _new_file(path: Path) -> DurableFile:
     if path.suffix != ".mcap":
-        raise OutputError(f"--record writes MCAP files: {path} needs a name that ends in .mcap")
+        raise OutputError(f"`record` writes MCAP files: {path} needs a name that ends in .mcap")
     if path.exists():
-        raise OutputError(f"{path} exists; give --record another name, or remove it")
+        raise OutputError(f"{path} exists; give `record` another name, or remove it")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return DurableFile(path)
     except OSError as error:
         raise OutputError(
             f"recording {path} cannot be written: {error.strerror or error}; choose another "
-            "--record"
+            "`record`"
         ) from error

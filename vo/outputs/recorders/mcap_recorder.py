@@ -96,7 +96,7 @@ class McapRecorder:
         except OSError as error:
             raise OutputError(
                 f"recording {self._path} cannot be written: {error.strerror or error}; "
-                "choose another --mcap"
+                "choose another `mcap`"
             ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:

@@ -40,7 +40,7 @@ class PlyRecorder:
         except OSError as error:
             raise OutputError(
                 f"points {self._path} cannot be written: {error.strerror or error}; "
-                "choose another --ply"
+                "choose another `ply`"
             ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:

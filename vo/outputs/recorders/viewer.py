@@ -71,7 +71,7 @@ def check_viewer(url: str) -> None:
     except OSError as error:
         raise OutputError(
             f"no viewer answers at {host}:{port} ({error.strerror or str(error)}); start one there "
-            "with `rerun`, or use --spawn or --serve"
+            "with `rerun`, or use `spawn` or `serve`"
         ) from error
 
 
@@ -94,7 +94,7 @@ class ViewerProcess:
         """
         status = self._process.wait()
         if status:
-            raise OutputError(f"the viewer ended with status {status}; use --serve or --web")
+            raise OutputError(f"the viewer ended with status {status}; use `serve` or `web`")
 
     def stop(self) -> None:
         """Close the viewer."""
@@ -116,7 +116,7 @@ def start_native(file: Path | None = None) -> ViewerProcess:
     Raises:
         OutputError: it does not start, usually because there is no display.
     """
-    problem, advice = "a viewer cannot be opened here", "use --serve or --web"
+    problem, advice = "a viewer cannot be opened here", "use `serve` or `web`"
     if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
         raise OutputError(f"{problem}: no display, {' and '.join(_DISPLAYS)} are not set; {advice}")
     port = _free_port()
@@ -138,7 +138,7 @@ def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
     web, data = port or _free_port(), _free_port()
     ports = ["--web-viewer-port", str(web), "--port", str(data), "--bind", bind]
     arguments = ["--serve-web", *ports, "--hide-welcome-screen"]
-    problem, advice = "the viewer cannot be served", "try another --port"
+    problem, advice = "the viewer cannot be served", "try another `port`"
     process = _start(arguments, (web, data), problem, advice, starter=_ending_with_this_process())
     page = f"http://{host_of(bind)}:{web}/"
     proxy = f"rerun+http://{host_of(bind)}:{data}/proxy"

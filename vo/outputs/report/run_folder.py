@@ -108,7 +108,7 @@ def read_run(folder: Path) -> RunRecord:
         SourceError: the folder is not that of a run, or a file in it is damaged.
     """
     if not folder.is_dir():
-        raise SourceError(f"{folder} is not a folder; use the --output of a `vo run`")
+        raise SourceError(f"{folder} is not a folder; use the `output` of a `vo run`")
     return RunRecord(
         folder,
         _summary(folder / "summary.json"),
@@ -125,13 +125,13 @@ def read_run(folder: Path) -> RunRecord:
 
 def _summary(path: Path) -> dict[str, Any]:
     if not path.is_file():
-        raise SourceError(f"{path.parent} has no {path.name}; use the --output of a `vo run`")
+        raise SourceError(f"{path.parent} has no {path.name}; use the `output` of a `vo run`")
     try:
         summary = load_json(read_text(path))
     except (OSError, ValueError) as error:
         raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
     if not isinstance(summary, dict) or "schema_version" not in summary:
-        raise SourceError(f"{path} is not the summary of a run; use the --output of a `vo run`")
+        raise SourceError(f"{path} is not the summary of a run; use the `output` of a `vo run`")
     check_summary(str(path), summary)
     summary.setdefault("faults", [])  # older runs have none
     return summary

@@ -13,11 +13,11 @@ from vo.outputs.results.fault_log import FaultRecord
 _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     FaultKind.IMAGE_FIXED_FEATURES: (
         "{value:.0%} of the image{place} does not move with the scene (the robot's own body, text, "
-        "dirt, a dark border, or a reflection?) and is left out: {frames}; --mask or --ignore "
-        "leave it out from the start",
+        "dirt, a dark border, or a reflection?) and is left out: {frames}; `masks.files` or "
+        "`masks.ignore` leave it out from the start",
         "{value:.0%} of the image{place} does not move with the scene (the robot's own body, text, "
         "dirt, a dark border, or a reflection?), too much for the rest to decide: {frames}; leave "
-        "it out by --mask or --ignore, unless it is the scene",
+        "it out by `masks.files` or `masks.ignore`, unless it is the scene",
     ),
     FaultKind.TWO_MOTIONS: (
         "two motions explain much of the image (a large moving object?); the path follows the one "
@@ -67,7 +67,7 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "right stamps are {value:+.1f} ms from left ones in all pairs, which is taken into account",
         "right images show the scene {value:+.0f} ms from the left ones of the same stamp, as rows "
         "that differ with the motion show: lengths are wrong; shift right stamps by {value:.0f} ms "
-        "(--right-offset), and trigger the cameras together",
+        "(`right_offset_ns`), and trigger the cameras together",
     ),
     FaultKind.WRONG_STEREO_CALIBRATION: (
         "the stereo calibration was wrong by {value:+.2f} px and has been corrected",

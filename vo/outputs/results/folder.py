@@ -56,7 +56,7 @@ class RunFolder:
                 (path / name).unlink(missing_ok=True)
         except OSError as error:
             raise OutputError(
-                f"cannot write to folder {path}: {error.strerror or error}; choose another --output"
+                f"cannot write to folder {path}: {error.strerror or error}; choose another `output`"
             ) from error
         write_atomically(path / CONFIG, config)
         self._summary_space = ReservedSpace(path)

@@ -59,7 +59,7 @@ def live_warnings(live: LiveSummary | None, frames: int) -> list[str]:
         ratio = state.dropped / max(frames + state.dropped, 1)
         warnings.append(
             f"{state.dropped} images of the camera dropped ({ratio:.0%}): newer ones came before "
-            "they could be tracked; `--config fast` needs less time"
+            "they could be tracked; `config=fast` needs less time"
         )
     if state.gaps:
         longest_s = max(1e-9 * (gap.last_ns - gap.first_ns) for gap in state.gaps)
@@ -69,7 +69,7 @@ def live_warnings(live: LiveSummary | None, frames: int) -> list[str]:
         )
     if state.unrecorded:
         warnings.append(
-            f"{state.unrecorded} tracked frames are missing in the file of --record: the disk was "
+            f"{state.unrecorded} tracked frames are missing in the file of `record`: the disk was "
             "too slow"
         )
     return warnings

@@ -57,9 +57,9 @@ def _refuse_foreign_files(path: Path) -> None:
     if found and not partial and not is_run_folder(path):
         raise OutputError(
             f"{found[0]} is not a result of an earlier run and would be replaced; "
-            "choose another --output"
+            "choose another `output`"
         )
 
 
 def _refusal(path: Path, reason: str) -> OutputError:
-    return OutputError(f"cannot write to folder {path}: {reason}; choose another --output")
+    return OutputError(f"cannot write to folder {path}: {reason}; choose another `output`")

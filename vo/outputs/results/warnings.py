@@ -76,7 +76,8 @@ def _world_warnings(summary: Summary) -> list[str]:
     if any(loop.repairs for loop in summary.loops):
         warnings.append(
             "tracking was wrong in frames in which little of the map agreed, as loops show: the "
-            "path follows the loops, and is inaccurate there; compare with a run with --no-loops"
+            "path follows the loops, and is inaccurate there; compare with a run with "
+            "`memory.loops=false`"
         )
     if any(loop.marker is not None and loop.joins and not loop.repairs for loop in summary.loops):
         warnings.append(
@@ -86,7 +87,7 @@ def _world_warnings(summary: Summary) -> list[str]:
     if any(loop.marker is None and loop.joins and not loop.repairs for loop in summary.loops):
         warnings.append(
             "parts of the path are joined only by what places look like; those that look alike, "
-            "such as corridors, can be joined wrongly: compare with a run with --no-loops"
+            "such as corridors, can be joined wrongly: compare with a run with `memory.loops=false`"
         )
     if summary.scale is not None:
         warnings += summary.scale.notes

@@ -44,7 +44,7 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
     if len(raw.k) != 9 or not any(raw.k):
         raise CalibrationError(
             f"calibration message of '{raw.frame}' is empty (K is zero): the camera was never "
-            "calibrated; give a file with --calibration FILE"
+            "calibrated; give a file with `calibration=FILE`"
         )
     r = np.reshape(raw.r, (3, 3)) if len(raw.r) == 9 and any(raw.r) else np.eye(3)
     p = np.reshape(raw.p, (3, 4)) if len(raw.p) == 12 and any(raw.p) else np.zeros((3, 4))

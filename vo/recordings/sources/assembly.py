@@ -120,9 +120,9 @@ def calibration_reader(
             looked_for = ", ".join(str(path) for path in candidates)
             found = _calibration_beside(candidates)
             advice = (
-                "give one with --calibration FILE (format: docs/calibration.md)"
+                "give one with `calibration=FILE` (format: docs/calibration.md)"
                 if found is None
-                else f"{found} is one: if it is that of these images, give --calibration {found}"
+                else f"{found} is one: if it is that of these images, give `calibration={found}`"
             )
             raise CalibrationError(f"no calibration found; looked for {looked_for}; {advice}")
         return read_calibration(chosen or existing[0], size)
@@ -204,7 +204,7 @@ def _check_size(
     advice = (
         "it seems to be that of images turned by 90 degrees; give that of the images as stored"
         if (camera.height, camera.width) == size
-        else "give a calibration for this image size with --calibration FILE (for resized images, "
+        else "give a calibration for this image size with `calibration=FILE` (for resized images, "
         "scale its fx, fy, cx and cy as well)"
     )
     raise CalibrationError(
@@ -221,14 +221,14 @@ def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mod
     if not contents.right:
         if mode == "stereo":
             raise SourceError(
-                f"{contents.name} has no images of a right camera; use --mode mono or add them"
+                f"{contents.name} has no images of a right camera; use `mode=mono` or add them"
             )
         return Rig(rig.cam0)
     if rig.cam1 is None:
         if mode == "stereo":
             raise CalibrationError(
                 f"the calibration of {contents.name} has no right camera; add cam1 or use "
-                "--mode mono"
+                "`mode=mono`"
             )
         _log.warning("%s: right images not used, because cam1 is not calibrated", contents.name)
         return Rig(rig.cam0)
@@ -244,7 +244,7 @@ def _right_offset(contents: RecordingContents, rig: Rig) -> int:
     if offset_ns:
         _log.warning(
             "%s: right stamps are %+.3f ms from left ones in all pairs, and images are paired by "
-            "that; --right-offset sets it",
+            "that; `right_offset_ns` sets it",
             contents.name,
             -1e-6 * offset_ns,
         )
@@ -262,10 +262,10 @@ def _pair(
     message = f"{contents.name}: no left image has a right image close enough in time"
     if mode == "stereo":
         raise SourceError(
-            f"{message}; check the stamps, shift right ones by --right-offset MS, or use --mode "
-            "mono"
+            f"{message}; check the stamps, shift right ones by `right_offset_ns`, or use "
+            "`mode=mono`"
         )
-    _log.warning("%s; only the left camera is used (see --right-offset)", message)
+    _log.warning("%s; only the left camera is used (see `right_offset_ns`)", message)
     return None
 
 

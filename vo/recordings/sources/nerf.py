@@ -53,7 +53,7 @@ def _image_file(file: Path, image: PosedImage) -> Path:
     if not path.resolve().is_relative_to(file.parent.resolve()):
         raise SourceError(
             f"{file}: image {image.name[:200]} is outside of the folder {file.parent}; run on the "
-            f"folder of the images with --calibration {file}"
+            f"folder of the images with `calibration={file}`"
         )
     if is_image_name(path.name):
         return path

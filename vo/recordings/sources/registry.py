@@ -146,7 +146,7 @@ def open_source(
     if FORMATS[name].has_topics:
         return cast(Opener, open_it)(path, chosen, mode, topics, right_offset_ns)
     if topics:
-        raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
+        raise SourceError(f"{path} ({name}) has no topics; leave `topics` out")
     contents = cast(Gather, open_it)(path, chosen, mode)
     if side_by_side:
         contents = split_side_by_side(contents)
@@ -206,7 +206,7 @@ def _refuse_live(path: Path) -> None:
     address = parse_address(re.sub(r"^(\w+):/(?!/)", r"\1://", str(path)))
     if address is not None:
         raise SourceError(
-            f"{address.public_name} is live: `vo run` reads it, and with --record FILE.mcap it "
+            f"{address.public_name} is live: `vo run` reads it, and with `record=FILE.mcap` it "
             "keeps the images for other commands"
         )
 

@@ -33,7 +33,7 @@ def halves(image: NDArray[_Type], name: str) -> tuple[NDArray[_Type], NDArray[_T
 def split_side_by_side(contents: RecordingContents) -> RecordingContents:
     """A recording of side-by-side images as one of stereo pairs."""
     if contents.right:
-        raise SourceError(f"{contents.name} has right images of its own; leave --side-by-side out")
+        raise SourceError(f"{contents.name} has right images of its own; leave `side_by_side` out")
     whole = _DecodedOnce([shot.image for shot in contents.left])
     left, right = (
         [
@@ -48,7 +48,7 @@ def split_side_by_side(contents: RecordingContents) -> RecordingContents:
 def not_side_by_side(path: Path, format: str) -> SourceError:
     """The error for recordings of other formats than images and videos."""
     return SourceError(
-        f"{path} ({format}) is a log: --side-by-side is for videos and folders of images"
+        f"{path} ({format}) is a log: `side_by_side` is for videos and folders of images"
     )
 
 

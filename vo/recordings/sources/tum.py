@@ -101,7 +101,7 @@ def _depth(path: Path) -> list[Shot] | None:
     try:
         return shots_from_table(table, path, None, "s")
     except SourceError as error:
-        raise SourceError(f"{error}; to ignore depth, use --mode mono") from error
+        raise SourceError(f"{error}; to ignore depth, use `mode=mono`") from error
 
 
 def _truth(file: Path) -> Trajectory | None:

@@ -41,7 +41,7 @@ def open_uncalibrated(
     if FORMATS[name].has_topics:
         contents = _gather_log(path, name, mode, topics)
     elif topics:
-        raise SourceError(f"{path} ({name}) has no topics; leave --topic out")
+        raise SourceError(f"{path} ({name}) has no topics; leave `topics` out")
     else:
         contents = gather(path, name, None, mode)
     if side_by_side:
@@ -85,7 +85,7 @@ def _placeholder(size: ImageSize, right: Sequence[Shot] | None) -> Rig:
     if other != size:
         raise SourceError(
             f"left images are {width}x{height}, right ones such as {right[0].image.name} "
-            f"{other[0]}x{other[1]}; both must have the same size (for one camera: --mode mono)"
+            f"{other[0]}x{other[1]}; both must have the same size (for one camera: `mode=mono`)"
         )
     return Rig(camera, camera, np.eye(4))
 
@@ -97,4 +97,4 @@ def _size_of_any(shots: Sequence[Shot]) -> ImageSize:
         except SourceError:
             continue
         return width, height
-    raise SourceError(f"none of {len(shots)} right images can be read; use --mode mono")
+    raise SourceError(f"none of {len(shots)} right images can be read; use `mode=mono`")

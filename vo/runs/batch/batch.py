@@ -223,7 +223,7 @@ def _refuse_foreign_files(output: Path) -> None:
     except SourceError as error:
         raise OutputError(
             f"{found[0]} is not a result of an earlier batch and would be replaced; "
-            "choose another --output"
+            "choose another `output`"
         ) from error
 
 
@@ -247,14 +247,14 @@ def _locked(output: Path) -> Iterator[None]:
         folder = os.open(output, os.O_RDONLY)
     except OSError as error:
         raise OutputError(
-            f"cannot write to folder {output}: {error.strerror or error}; choose another --output"
+            f"cannot write to folder {output}: {error.strerror or error}; choose another `output`"
         ) from error
     try:
         try:
             fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise OutputError(
-                f"another batch is writing to {output}; choose another --output"
+                f"another batch is writing to {output}; choose another `output`"
             ) from error
         except OSError:
             pass  # a network file system without locks

@@ -15,9 +15,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import IO
@@ -27,6 +27,7 @@ from vo.base.config import load_config
 from vo.base.errors import OutputError, VoError
 from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.option_names import Flag, with_flags
 from vo.runs.batch.fingerprint import fingerprint
 from vo.runs.batch.job import Job, JobResult, JobStatus
 from vo.runs.batch.worker import RESULT, write_result
@@ -54,6 +55,7 @@ class Limits:
         memory_mb: address space of its process, None for any.
         retries: further attempts after a crash or a timeout.
         has_report: whether each finished run gets a `report.html` too.
+        flags: how a command line gives options; messages name them so.
     """
 
     threads: int = 2
@@ -61,6 +63,7 @@ class Limits:
     memory_mb: int | None = None
     retries: int = 1
     has_report: bool = False
+    flags: Mapping[str, Flag] = field(default_factory=dict)
 
 
 def kept_result(job: Job, output: Path) -> JobResult | None:
@@ -103,9 +106,15 @@ def run_job(
         if _is_foreign(folder):
             error = (
                 f"{folder} is not a result of an earlier batch and is not replaced; "
-                "move it away, or choose another --output"
+                "move it away, or choose another `output`"
             )
-            return JobResult(job.name, job.source, JobStatus.FAILED, error, tags=job.tags)
+            return JobResult(
+                job.name,
+                job.source,
+                JobStatus.FAILED,
+                with_flags(error, limits.flags),
+                tags=job.tags,
+            )
     for attempt in range(1, limits.retries + 2):
         try:
             (output / WORK).mkdir(parents=True, exist_ok=True)
@@ -172,6 +181,7 @@ def _attempt(job: Job, folder: Path, limits: Limits, is_stopped: Callable[[], bo
         "folder": str(folder),
         "threads": limits.threads,
         "memory_mb": limits.memory_mb,
+        "flags": limits.flags,
     }
     with (folder / LOG).open("wb") as log:
         process = _started(log.fileno())
@@ -183,8 +193,10 @@ def _attempt(job: Job, folder: Path, limits: Limits, is_stopped: Callable[[], bo
         return unfinished
     if ended == "timed out":
         limit = f"{limits.timeout_s:g} s"
-        error = f"it took more than {limit} (--timeout); it may wait for something for ever"
-        return replace(unfinished, status=JobStatus.TIMED_OUT, error=error)
+        error = f"it took more than {limit} (`timeout_s`); it may wait for something for ever"
+        return replace(
+            unfinished, status=JobStatus.TIMED_OUT, error=with_flags(error, limits.flags)
+        )
     result = read_result(folder)
     if result is not None and process.returncode == 0:
         if result.is_done and (folder / LOG).stat().st_size == 0:

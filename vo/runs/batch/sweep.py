@@ -160,7 +160,7 @@ def split(jobs: Sequence[Job], held_out: float, seed: int) -> tuple[list[Job], l
         count = max(1, count)
     if count >= len(jobs):
         raise ConfigError(
-            f"--held-out {held_out:g} of {len(jobs)} recordings leaves none for the trials"
+            f"`held_out={held_out:g}` of {len(jobs)} recordings leaves none for the trials"
         )
     drawn = set(random.Random(seed).sample(range(len(jobs)), count))
     return (
@@ -214,7 +214,7 @@ def run_sweep(
     if (output / BEST).exists() and not (output / SUMMARY).exists():
         raise OutputError(
             f"{output / BEST} is not a result of an earlier sweep and would be replaced; "
-            "choose another --output"
+            "choose another `output`"
         )
     training, others = split(plan.jobs, options.held_out, options.seed)
 
@@ -286,7 +286,7 @@ def _trials(
         for number, settings in enumerate(_grid(spaces), start=1):
             yield attempt(number, settings)
         return
-    optuna = require("optuna", "sweep", "sweeps with --trials")
+    optuna = require("optuna", "sweep", "sweeps with `trials`")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=options.seed))
     for number in range(1, options.trials + 1):
@@ -299,12 +299,12 @@ def _trials(
 def _grid(spaces: Sequence[Space]) -> Iterator[dict[str, str]]:
     ranges = [space.key for space in spaces if not space.values]
     if ranges:
-        raise ConfigError(f"{ranges[0]} has a range, which needs a number of --trials")
+        raise ConfigError(f"{ranges[0]} has a range, which needs a number of `trials`")
     size = math.prod(len(space.values) for space in spaces)
     if size > _MAX_GRID:
         raise ConfigError(
             f"these are {size} combinations, over the limit of {_MAX_GRID}; choose some of them "
-            "with --trials"
+            "with `trials`"
         )
     for values in itertools.product(*(space.values for space in spaces)):
         yield {space.key: value for space, value in zip(spaces, values, strict=True)}

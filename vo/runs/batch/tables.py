@@ -124,10 +124,10 @@ def read_batch(folder: Path) -> list[JobResult]:
         values = load_json(read_text(path))
         return [JobResult.from_dict(each) for each in values["results"]]
     except FileNotFoundError as error:
-        raise SourceError(f"{folder} has no {SUMMARY}; use the --output of a `vo batch`") from error
+        raise SourceError(f"{folder} has no {SUMMARY}; use the `output` of a `vo batch`") from error
     except OSError as error:
         raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
     except (ValueError, TypeError, KeyError) as error:
         raise SourceError(
-            f"{path} is not the summary of a batch; use the --output of a `vo batch`"
+            f"{path} is not the summary of a batch; use the `output` of a `vo batch`"
         ) from error

@@ -12,11 +12,13 @@ import os
 import resource
 import signal
 import threading
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from vo.base.errors import EvaluationError, VoError
+from vo.base.option_names import Flag, with_flags
 from vo.base.printable import one_line
 from vo.base.types import Trajectory
 from vo.outputs.results.folder import write_atomically
@@ -41,7 +43,8 @@ def main() -> None:
         limit = int(limit_mb) << 20
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     job, folder = Job.from_dict(request["job"]), Path(request["folder"])
-    result = run_job_here(job, folder, int(request["threads"]))
+    flags = {name: Flag(*values) for name, values in request["flags"].items()}
+    result = run_job_here(job, folder, int(request["threads"]), flags)
     write_result(folder, result)
 
 
@@ -62,18 +65,19 @@ def _end_with_batch() -> None:
     os._exit(_ABANDONED)
 
 
-def run_job_here(job: Job, folder: Path, threads: int) -> JobResult:
+def run_job_here(job: Job, folder: Path, threads: int, flags: Mapping[str, Flag]) -> JobResult:
     """Run a job in this process, writing to a folder; errors of the run are results."""
     failed = JobResult(job.name, job.source, JobStatus.FAILED, tags=job.tags)
     try:
-        return _run(job, folder, threads)
-    except VoError as error:
-        return replace(failed, error=one_line(str(error)))
+        return _run(job, folder, threads, flags)
+    except VoError as found:
+        return replace(failed, error=with_flags(one_line(str(found)), flags))
     except MemoryError:
-        return replace(failed, error="it needs more memory than the batch allows (--memory)")
-    except OSError as error:
-        where = "" if error.filename is None else f"{error.filename}: "
-        return replace(failed, error=one_line(f"{where}{error.strerror or error}"))
+        error = "it needs more memory than the batch allows (`memory_mb`)"
+        return replace(failed, error=with_flags(error, flags))
+    except OSError as found:
+        where = "" if found.filename is None else f"{found.filename}: "
+        return replace(failed, error=one_line(f"{where}{found.strerror or found}"))
 
 
 def write_result(folder: Path, result: JobResult) -> None:
@@ -86,7 +90,7 @@ def write_result(folder: Path, result: JobResult) -> None:
     write_atomically(folder / RESULT, text)
 
 
-def _run(job: Job, folder: Path, threads: int) -> JobResult:
+def _run(job: Job, folder: Path, threads: int, flags: Mapping[str, Flag]) -> JobResult:
     from vo.base.config import load_config
     from vo.runs.batch.fingerprint import fingerprint
     from vo.runs.batch.object_store import local_copy
@@ -103,6 +107,7 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
             end=job.end,
             stride=job.stride,
             source_name=None if source == job.source else job.source,
+            flags=flags,
             **_reading(job),
         )
         errors, notes = _errors(job, source, folder)
@@ -126,7 +131,7 @@ def _run(job: Job, folder: Path, threads: int) -> JobResult:
         cpu_s=round(sum(each.ru_utime + each.ru_stime for each in used), 3),
         frames_per_s=round(summary.frames_per_s, 3),
         peak_rss_mb=summary.peak_rss_mb,
-        warnings=(*summary.warnings, *notes),
+        warnings=tuple(with_flags(text, flags) for text in (*summary.warnings, *notes)),
     )
 
 

@@ -80,26 +80,26 @@ def make_scale_sources(
     if options.height_m is not None:
         if is_metric:
             raise ConfigError(
-                "--height is for one camera: this recording is in metres already (--mode mono "
+                "`height_m` is for one camera: this recording is in metres already (`mode=mono` "
                 "leaves the right camera out)"
             )
         if not 0.0 < options.height_m <= _MAX_HEIGHT_M:
             raise ConfigError(
-                f"--height is {options.height_m:g}; give metres above the ground, such as 1.65"
+                f"`height_m` is {options.height_m:g}; give metres above the ground, such as 1.65"
             )
         others = (HeightSource(options.height_m), *others)
     if options.positions is None:
         if options.georeference:
-            raise ConfigError("--georeference needs positions: give them by --scale-from")
+            raise ConfigError("`georeference` needs positions: give them by `positions`")
         if options.offset_ns:
-            raise ConfigError("--scale-offset is for the positions of --scale-from; give both")
+            raise ConfigError("`offset_ns` is for the positions of `positions`; give both")
         if options.lever_arm_m is not None:
-            raise ConfigError("--lever-arm is for the positions of --scale-from; give both")
+            raise ConfigError("`lever_arm_m` is for the positions of `positions`; give both")
         return ScaleSources(tuple(others), None, markers)
     positions = read_positions(options.positions, recording).shifted(options.offset_ns)
     if options.georeference and positions.origin is None:
         raise ConfigError(
-            f"--georeference needs latitudes and longitudes; {positions.name} has metres"
+            f"`georeference` needs latitudes and longitudes; {positions.name} has metres"
         )
     arm = _lever_arm(options)
     source = PositionSource(positions, is_metric=is_metric, lever_arm_m=arm)
@@ -114,7 +114,7 @@ def _lever_arm(options: ScaleOptions) -> tuple[float, float, float]:
     arm = options.lever_arm_m or (0.0, 0.0, 0.0)
     if not max(abs(value) for value in arm) <= _MAX_ARM_M:
         text = " ".join(f"{value:g}" for value in arm)
-        raise ConfigError(f"--lever-arm is {text}; give metres, such as 0.5 -0.8 -1.2")
+        raise ConfigError(f"`lever_arm_m` is {text}; give metres, such as 0.5 -0.8 -1.2")
     return arm
 
 
@@ -124,10 +124,10 @@ def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
         if length_m is not None:
             raise ConfigError("markers have one side, or a map with sides; give one of them")
         if options.world is not None:
-            raise ConfigError("--world is the frame of the map of --markers; leave it out")
+            raise ConfigError("`world` is the frame of the map of `marker_map`; leave it out")
         if options.georeference:
             raise ConfigError(
-                "--georeference places the path by positions, and a map of markers in its frame; "
+                "`georeference` places the path by positions, and a map of markers in its frame; "
                 "leave one of them out"
             )
         known = read_marker_map(options.marker_map)
@@ -136,10 +136,12 @@ def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
         origin = None if options.world is None else _marker_of(options)
         return MarkerSource(length_m, dictionary, is_metric=is_metric, origin=origin)
     if options.world is not None:
-        raise ConfigError("--world marker:ID needs --markers, the side of the squares; give both")
+        raise ConfigError(
+            "`world=marker:ID` needs `marker_length_m`, the side of the squares; give both"
+        )
     if dictionary != "auto":
         raise ConfigError(
-            "--marker-dictionary is for --markers, the side of the squares; give both"
+            "`marker_dictionary` is for `marker_length_m`, the side of the squares; give both"
         )
     return None
 
@@ -147,7 +149,7 @@ def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
 def _marker_of(options: ScaleOptions) -> int:
     kind, _, number = (options.world or "").partition(":")
     if kind != "marker" or not (number.isascii() and number.isdigit()):
-        raise ConfigError(f"--world is '{options.world}'; give marker:ID, such as marker:7")
+        raise ConfigError(f"`world` is '{options.world}'; give marker:ID, such as marker:7")
     if options.georeference:
-        raise ConfigError("--georeference places the path by positions; leave --world out")
+        raise ConfigError("`georeference` places the path by positions; leave `world` out")
     return int(number)

@@ -90,7 +90,7 @@ class PositionSource:
             raise SourceError(
                 f"{self.positions.name}: no position during the recording: positions from "
                 f"{_time(int(times[0]))} to {_time(int(times[-1]))}, images from {_time(first)} to "
-                f"{_time(last)}; if the clocks differ, give the difference by --scale-offset "
+                f"{_time(last)}; if the clocks differ, give the difference by `offset_ns` "
                 f"(starting together: {1e-9 * (first - int(times[0])):.3f})"
             )
 
@@ -275,7 +275,7 @@ def _fit_notes(where: str, fit: PositionFit, offset_s: float) -> list[str]:
         word = "late" if offset_s > 0 else "early"
         notes.append(
             f"{where}: the positions are {abs(offset_s):.2f} s {word}, which is corrected; "
-            "--scale-offset gives the difference of the clocks"
+            "`offset_ns` gives the difference of the clocks"
         )
     return notes
 

@@ -70,11 +70,11 @@ def read_positions(given: str, recording: str | None = None) -> Positions:
     path_text, wanted = (name, f"/{topic}") if colon else (given, None)
     if path_text == AUTO:
         if recording is None:
-            raise SourceError("--scale-from auto needs a recording with positions; give a file")
+            raise SourceError("`positions=auto` needs a recording with positions; give a file")
         path_text = recording
     path = Path(path_text)
     if not path.exists():
-        raise SourceError(f"{path} does not exist; give --scale-from a file of positions")
+        raise SourceError(f"{path} does not exist; give `positions` a file of positions")
     for folder in (path, path / "oxts"):
         if folder.name == "oxts" and (folder / "timestamps.txt").is_file():
             return _of_table(read_oxts_positions(folder), str(folder))
@@ -160,7 +160,7 @@ def _choose(log: Log, wanted: str | None) -> Topic:
         if group:
             raise SourceError(
                 f"{log.path} has positions on {_listed(group)}; choose one: "
-                f"--scale-from {log.path}:{group[0].name}"
+                f"`positions={log.path}:{group[0].name}`"
             )
     raise SourceError(f"{log.path} has no positions (NavSatFix, Odometry or poses); give a file")
 

@@ -41,7 +41,7 @@ def _board_warnings(board: Board) -> list[str]:
         return []
     return [
         f"the board would be {width_m:.3g} m wide, with squares of {1000 * board.square_m:g} mm: "
-        "--square is in metres, 0.03 for 30 mm; an error of it scales the baseline too"
+        "`square_m` is in metres, 0.03 for 30 mm; an error of it scales the baseline too"
     ]
 
 
@@ -93,7 +93,7 @@ def _camera_warnings(result: CalibrationResult, camera: int) -> list[str]:
     if error > _MAX_RMS_PX:
         lines.append(
             f"the error is {error:.2f} px (RMS), 0.1 to 0.3 is usual: blurred images, motion with "
-            "a rolling shutter, a board that is not flat, or the wrong lens model (--model)"
+            "a rolling shutter, a board that is not flat, or the wrong lens model (`model`)"
         )
     off = np.abs(known[2:4] - (np.array(result.size) - 1) / 2) / result.size
     if off.max() > _MAX_OFF_CENTRE:
@@ -153,6 +153,6 @@ def _pair_warnings(result: CalibrationResult) -> list[str]:
     if right_of_left[0] < 0.5 * np.linalg.norm(right_of_left):
         lines.append(
             "cam1 is not to the right of cam0: unless the cameras are mounted so, left and right "
-            "are swapped (--topic left=… --topic right=…), or the images are mirrored"
+            "are swapped (`topics=left=… right=…`), or the images are mirrored"
         )
     return lines

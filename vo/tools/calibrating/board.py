@@ -83,30 +83,30 @@ def make_board(
     if min(columns, rows) < 3:
         raise ConfigError(
             f"a board of {columns} x {rows} inner corners is too small; use at least 3 x 3 "
-            "(--columns, --rows: corners where four squares meet)"
+            "(`columns`, `rows`: corners where four squares meet)"
         )
     if not 0.0 < square_m <= _MAX_SQUARE_M:
         raise ConfigError(
-            f"a square of {square_m:g} m is implausible; --square is in metres, 0.03 for 30 mm"
+            f"a square of {square_m:g} m is implausible; `square_m` is in metres, 0.03 for 30 mm"
         )
     if kind == "chessboard":
         return Board(kind, columns, rows, square_m)
     marker_m = _MARKER_RATIO * square_m if marker_m is None else marker_m
     if not 0.0 < marker_m < square_m:
         raise ConfigError(
-            f"a marker of {marker_m:g} m does not fit into a square of {square_m:g} m; --marker is "
-            "in metres and smaller than --square"
+            f"a marker of {marker_m:g} m does not fit into a square of {square_m:g} m; `marker_m` "
+            "is in metres and smaller than `square_m`"
         )
     name = dictionary.upper().removeprefix("DICT_")
     known = dictionaries()
     if name not in known:
-        raise ConfigError(f"unknown --dictionary '{dictionary}'; use one of {', '.join(known)}")
+        raise ConfigError(f"unknown `dictionary` '{dictionary}'; use one of {', '.join(known)}")
     needed = (columns + 1) * (rows + 1) // 2
     available = len(cv2.aruco.getPredefinedDictionary(known[name]).bytesList)
     if needed > available:
         raise ConfigError(
             f"the board needs {needed} markers, but {name} has only {available}; choose a larger "
-            "--dictionary"
+            "`dictionary`"
         )
     return Board(kind, columns, rows, square_m, marker_m, name, legacy)
 

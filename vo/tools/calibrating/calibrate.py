@@ -141,7 +141,7 @@ def _check_pair(pair: Fit, alone: Sequence[Fit]) -> None:
         raise CalibrationError(
             f"corners are off by {error:.2f} px (RMS) if both cameras are calibrated together, but "
             f"by {single:.2f} px with each alone: the cameras do not expose at the same moment, or "
-            "moved against each other; hold the board still for each view, or use --mode mono"
+            "moved against each other; hold the board still for each view, or use `mode=mono`"
         )
 
 

@@ -106,7 +106,7 @@ def fit_pair(left: Fit, right: Fit, points: Floats) -> Fit:
     if len(both) < MIN_VIEWS:
         raise CalibrationError(
             f"both cameras see the board in only {len(both)} usable frames; at least {MIN_VIEWS} "
-            "are needed: hold it where the images overlap, or calibrate one camera: --mode mono"
+            "are needed: hold it where the images overlap, or calibrate one camera: `mode=mono`"
         )
     extrinsics = initial_cam1_from_cam0([(poses[0][frame], poses[1][frame]) for frame in both])
     kept = [frame for frame in frames if frame in poses[0]]
@@ -152,7 +152,7 @@ def _fit_lens(
     if len(usable) < MIN_VIEWS:
         raise CalibrationError(
             f"only {len(usable)} of {len(observations)} views fit a camera with a {lens.name} "
-            "lens; check --columns, --rows and --model"
+            "lens; check `columns`, `rows` and `model`"
         )
     numbered = tuple(replace(each, view=i, camera=0) for i, (each, _) in enumerate(usable))
     start = Parameters((guess,), np.array([pose for _, pose in usable]))

@@ -47,7 +47,7 @@ def initial_intrinsics(
             best, min_error = guess, float(np.median(errors))
     if best is None:
         raise CalibrationError(
-            "no camera fits the detected corners; check --columns, --rows and the images"
+            "no camera fits the detected corners; check `columns`, `rows` and the images"
         )
     return best
 

@@ -43,13 +43,13 @@ def explain_missing_board(board: Board, detected: DetectedViews, frames: Iterabl
 def _other_chessboard(images: list[Bytes]) -> str:
     # The squares without markers of a ChArUco board may be taken for a small chessboard.
     if _best_dictionary(images)[0] >= _MIN_MARKERS:
-        return "markers were found: is it a ChArUco board (--board charuco)?"
+        return "markers were found: is it a ChArUco board (`board=charuco`)?"
     size = _largest_chessboard(images)
     if size is not None:
-        options = f"--columns {size[0]} --rows {size[1]}"
+        options = f"`columns={size[0]}` `rows={size[1]}`"
         return f"a board of {size[0]} x {size[1]} inner corners was found: {options}?"
     return (
-        "check --columns and --rows (corners where four squares meet, not squares); a chessboard "
+        "check `columns` and `rows` (corners where four squares meet, not squares); a chessboard "
         "must be completely visible, with a white margin (unlike a ChArUco board)"
     )
 
@@ -72,12 +72,12 @@ def _other_markers(board: Board, images: list[Bytes]) -> str:
         return "the board is there, but the images are mirrored: turn off mirroring in the camera"
     count, best = _best_dictionary(images)
     if count >= _MIN_MARKERS:
-        return f"markers of another dictionary were found: --dictionary {best}?"
+        return f"markers of another dictionary were found: `dictionary={best}`?"
     size = _largest_chessboard(images)
     if size is not None:
-        options = f"--board chessboard --columns {size[0]} --rows {size[1]}"
+        options = f"`board=chessboard` `columns={size[0]}` `rows={size[1]}`"
         return f"a chessboard without markers was found: {options}?"
-    return "no markers were found; check --board, --dictionary and the sharpness of the images"
+    return "no markers were found; check `board`, `dictionary` and the sharpness of the images"
 
 
 def _best_dictionary(images: list[Bytes]) -> tuple[int, str]:
@@ -108,12 +108,12 @@ def _other_layout(board: Board, images: list[Bytes]) -> str:
                 continue
             if _is_visible(other_board, images):
                 word = " with" if legacy else " without"
-                option = "" if legacy == board.legacy else f"{word} --legacy"
-                options = f"--columns {one} --rows {other}{option}"
+                option = "" if legacy == board.legacy else f"{word} `legacy`"
+                options = f"`columns={one}` `rows={other}`{option}"
                 return f"a board of {one} x {other} inner corners was found: {options}?"
     return (
-        f"markers of {board.dictionary} were found, but in another layout: check --columns "
-        "and --rows (inner corners, one less than squares), or try --legacy"
+        f"markers of {board.dictionary} were found, but in another layout: check `columns` "
+        "and `rows` (inner corners, one less than squares), or try `legacy`"
     )
 
 

@@ -87,8 +87,8 @@ def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
             "error",
             f"right images show the scene {offset_ms:+.0f} ms from the left ones of the same "
             "stamp, as rows that differ with the motion show",
-            f"shift right stamps by {offset_ms:.0f} ms (--right-offset), and trigger the cameras "
-            "together",
+            f"shift right stamps by {offset_ms:.0f} ms (`right_offset_ns`), and trigger the "
+            "cameras together",
         )
     elif stereo is not None and stereo.rectified:
         right = stereo.right_camera
@@ -121,21 +121,21 @@ def _unusable_images(stereo: StereoReport) -> Finding | None:
         return Finding(
             "error",
             "left and right show the same image: the same camera twice?",
-            "give the topics or folders of both cameras, or use --mode mono",
+            "give the topics or folders of both cameras, or use `mode=mono`",
         )
     if stereo.right_is:
         return Finding(
             "error",
             f"the right image is {stereo.right_is}, or the left one is",
-            "revert it in the camera's driver, or use --mode mono",
+            "revert it in the camera's driver, or use `mode=mono`",
         )
     if stereo.are_exchanged:
         return Finding(
             "error",
             "left and right images are exchanged, or both are mirrored or turned by 180°: "
             f"{1 - stereo.positive:.0%} of the points are farther right in the right image",
-            "exchange them (--topic left=… --topic right=…, or the folders), turn them, or use "
-            "--mode mono",
+            "exchange them (`topics=left=… right=…`, or the folders), turn them, or use "
+            "`mode=mono`",
         )
     return None
 

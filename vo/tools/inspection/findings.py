@@ -74,7 +74,7 @@ def _timing_findings(camera: CameraReport) -> Iterator[Finding]:
             f"{camera.name}: {_counted(len(timing.gaps), 'gap')}, about "
             f"{_counted(missing, 'image')} missing; the longest is "
             f"{longest.seconds:.3g} s after frame {longest.after_frame} ({longest.at_s:.2f} s)",
-            "tracking may be lost there; --start and --end exclude such a part",
+            "tracking may be lost there; `start` and `end` exclude such a part",
         )
     if timing.repeated_stamps:
         yield Finding(
@@ -120,7 +120,7 @@ def _image_findings(camera: CameraReport) -> Iterator[Finding]:
         camera, blurred, "blurred", "use shorter exposure, check the focus, move slower"
     )
     yield from _quality_finding(
-        camera, untextured, "nearly without texture", "tracking is difficult; see --picture"
+        camera, untextured, "nearly without texture", "tracking is difficult; see `picture`"
     )
     yield from _quality_finding(
         camera, repeats, "identical to the previous image", "remove them; check the camera driver"
@@ -153,7 +153,7 @@ def _pair_findings(report: Report) -> Iterator[Finding]:
             "error",
             f"no left image has a right image within {pair.tolerance_ms:.1f} ms; the nearest is "
             f"{pair.offset_ms:+.1f} ms away",
-            "synchronise the clocks of the cameras, or use --mode mono",
+            "synchronise the clocks of the cameras, or use `mode=mono`",
         )
         return
     if pair.left_alone or pair.right_alone:

@@ -56,7 +56,7 @@ def read_frame(recording: Recording, number: int) -> Frame:
         )
     for frame in recording.frames(number, number + 1):
         return frame
-    raise SourceError(f"frame {number} of {recording.name} cannot be read; choose another --frame")
+    raise SourceError(f"frame {number} of {recording.name} cannot be read; choose another `frame`")
 
 
 def read_homography(path: Path) -> Floats:

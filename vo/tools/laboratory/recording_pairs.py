@@ -58,7 +58,7 @@ def plan_pairs(recording: Recording, gaps: Sequence[int], wanted: int) -> Planne
     if recording.ground_truth is None:
         raise SourceError(
             f"{recording.name} has no ground truth, by which methods could be scored; with "
-            "--frame N they are compared in one image by number, spread and time; vo synth makes "
+            "`frame=N` they are compared in one image by number, spread and time; vo synth makes "
             "recordings with ground truth"
         )
     poses, known = _poses_of_frames(recording, recording.ground_truth)
@@ -69,7 +69,7 @@ def plan_pairs(recording: Recording, gaps: Sequence[int], wanted: int) -> Planne
         raise SourceError(
             f"{recording.name}: no frames with ground truth are {listed} frames apart "
             f"({np.count_nonzero(known)} of {len(recording)} frames have a true pose); give "
-            "smaller --gaps"
+            "smaller `gaps`"
         )
     return PlannedPairs(
         recording, poses, frames, tuple(g for g, firsts in chosen if not len(firsts))

@@ -98,12 +98,12 @@ def make_grid(columns: int, rows: int, length_m: float, gap_m: float, name: str)
         raise ConfigError(f"a grid of {columns} x {rows} markers is no board; give two or more")
     if not 0.0 < gap_m <= MAX_LENGTH_M:
         raise ConfigError(
-            f"--gap is {gap_m:g} m; give the white space between markers in metres, such as 0.01"
+            f"`gap_m` is {gap_m:g} m; give the white space between markers in metres, such as 0.01"
         )
     if columns * rows > marker_count(name):
         raise ConfigError(
             f"the grid needs {columns * rows} markers, and {name} has {marker_count(name)}; choose "
-            "a larger --dictionary"
+            "a larger `dictionary`"
         )
     return GridBoard(columns, rows, length_m, gap_m)
 
@@ -124,4 +124,4 @@ def check_length(length_m: float) -> None:
     hint = "the side of the black square in metres, 0.16 for 160 mm"
     if MAX_LENGTH_M < length_m <= 1000.0 * MAX_LENGTH_M:
         hint = f"metres, not millimetres: {length_m / 1000.0:g}"
-    raise ConfigError(f"a marker of {length_m:g} m is implausible; --length is in {hint}")
+    raise ConfigError(f"a marker of {length_m:g} m is implausible; `length_m` is in {hint}")

@@ -139,7 +139,7 @@ class DictionarySearch:
         if len(best) > 1:
             raise ConfigError(
                 f"the markers of {what} fit dictionaries {' and '.join(best)} equally; choose one: "
-                "--dictionary"
+                "`dictionary`"
             )
         return smallest_containing(best[0], sorted(self._ids[best[0]]))
 

@@ -74,8 +74,8 @@ def read_marker_map(path: Path) -> MarkerMap:
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or error
         raise SourceError(
-            f"{path} cannot be read: {reason}; --markers takes the side of the squares in metres, "
-            "such as 0.16, or a file with a map of markers"
+            f"{path} cannot be read: {reason}; `marker_map` takes the side of the squares in "
+            "metres, such as 0.16, or a file with a map of markers"
         ) from error
     try:
         if path.suffix.lower() == ".csv":

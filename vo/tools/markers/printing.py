@@ -92,7 +92,7 @@ def parse_ids(text: str) -> list[int]:
         ids = []
     if not ids or len(ids) > _MAX_MARKERS:
         raise ConfigError(
-            f"--ids is '{text}'; give up to {_MAX_MARKERS} numbers of markers, such as 0-3,7"
+            f"`ids` is '{text}'; give up to {_MAX_MARKERS} numbers of markers, such as 0-3,7"
         )
     return ids
 

@@ -285,7 +285,7 @@ class MarkerSource:
             )
         return (
             f"by the markers of {1000 * self._length_m:g} mm all lengths would be {error} longer: "
-            "the calibration or --markers is wrong"
+            "the calibration or `marker_length_m` is wrong"
         )
 
     def _unseen(self) -> str:
@@ -301,7 +301,7 @@ def _common_dictionary(given: str, known: MarkerMap) -> str:
         return known.dictionary if given == AUTO else given
     if given != known.dictionary:
         raise ConfigError(
-            f"--marker-dictionary is {given}, and {known.name} has {known.dictionary}; leave the "
+            f"`marker_dictionary` is {given}, and {known.name} has {known.dictionary}; leave the "
             "option out"
         )
     return given

@@ -101,7 +101,7 @@ def render(
     placement, segment = _placement(poses, options)
     frames = sorted(poses) if options.frame is None else [options.frame]
     if options.frame is not None and options.frame not in poses:
-        raise ConfigError(f"frame {options.frame} has no pose in {folder}; choose another --frame")
+        raise ConfigError(f"frame {options.frame} has no pose in {folder}; choose another `frame`")
     if is_picture:
         frames = frames[:1]
     painter = _Painter(mesh, placement, segment, stream.rig.cam0)
@@ -150,11 +150,11 @@ def _placement(poses: dict[int, _Pose], options: RenderOptions) -> tuple[Placeme
     first = min(poses)
     frame, distance = options.in_front or (first, _DISTANCE_RATIO * _path_length(poses, first))
     if frame not in poses:
-        raise ConfigError(f"frame {frame} has no pose; give another one by --in-front")
+        raise ConfigError(f"frame {frame} has no pose; give another one by `in_front`")
     if not 0.0 < distance < np.inf:
-        raise ConfigError(f"a model {distance:g} in front of the camera cannot be seen; give --at")
+        raise ConfigError(f"a model {distance:g} in front of the camera cannot be seen; give `at`")
     if options.size is not None and not 0.0 < options.size < np.inf:
-        raise ConfigError(f"--size is {options.size:g}; give a length above 0")
+        raise ConfigError(f"`size` is {options.size:g}; give a length above 0")
     segment, world_from_cam = poses[frame]
     foot = world_from_cam[:3, :3] @ (0.0, _BELOW_RATIO * distance, distance) + world_from_cam[:3, 3]
     if options.at is not None:
@@ -207,10 +207,10 @@ class _Painter:
 def _write_picture(path: Path, images: Iterator[Bytes]) -> int:
     image = next(images, None)
     if image is None:
-        raise SourceError("the image of the frame cannot be read; choose another --frame")
+        raise SourceError("the image of the frame cannot be read; choose another `frame`")
     path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), image):
-        raise OutputError(f"{path} cannot be written; choose another --output")
+        raise OutputError(f"{path} cannot be written; choose another `output`")
     return 1
 
 
@@ -228,7 +228,7 @@ def _write_video(path: Path, images: Iterator[Bytes], stream: Recording) -> int:
                 str(path), codec, float(np.clip(rate, 1, 240)), (width, height)
             )
             if not writer.isOpened():
-                raise OutputError(f"{path} cannot be written; choose another --output")
+                raise OutputError(f"{path} cannot be written; choose another `output`")
         writer.write(image)
         count += 1
     if writer is None:

@@ -161,7 +161,7 @@ def test_a_run_needs_no_calibration(kind: str, fake: Fake, tmp_path: Path) -> No
     mono = open_live(address, None, "mono")
     assert not mono.rig.is_stereo
     mono.close()
-    with pytest.raises(SourceError, match="leave --side-by-side out"):
+    with pytest.raises(SourceError, match="leave `side_by_side` out"):
         open_live(address, None, options=LiveOptions(side_by_side=True))
     width, height = SIZES[kind]
     write_calibration(tmp_path / "own.yaml", Rig(Camera(width, height, 300, 300, 320, 200)))

@@ -138,7 +138,7 @@ def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
     if baseline < _MIN_BASELINE_M:
         raise CalibrationError(
             f"{where}: the baseline is {baseline:g} m, so depth cannot be measured; give the "
-            "distance between the cameras in metres, or use one camera with --mode mono"
+            "distance between the cameras in metres, or use one camera with `mode=mono`"
         )
     if baseline > _MAX_BASELINE_M:
         _log.warning(

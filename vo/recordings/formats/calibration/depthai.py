@@ -128,7 +128,7 @@ def _b_from_a(document: Document, cameras: _Cameras, a: int, b: int) -> Floats:
                 found[end] = end_from_start @ found[start]
     if b not in found:
         raise CalibrationError(
-            f"{document.path}: no extrinsics connect cameras {a} and {b}; use --mode mono, or "
+            f"{document.path}: no extrinsics connect cameras {a} and {b}; use `mode=mono`, or "
             "calibrate the pair"
         )
     return np.asarray(found[b])

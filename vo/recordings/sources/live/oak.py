@@ -101,7 +101,7 @@ class Oak:
         model = calibration.getDistortionModel(socket)
         if model not in lenses:
             raise CalibrationError(
-                f"{self._name}: distortion {model} is not supported; give --calibration FILE"
+                f"{self._name}: distortion {model} is not supported; give `calibration=FILE`"
             )
         k = np.array(calibration.getCameraIntrinsics(socket, _WIDTH, _HEIGHT))
         lens = lenses[model]
@@ -118,6 +118,6 @@ class Oak:
         if any(given[count:]):
             raise CalibrationError(
                 f"{self._name}: its distortion has more than {count} coefficients; give "
-                "--calibration FILE"
+                "`calibration=FILE`"
             )
         return [float(x) for x in given[:count]]

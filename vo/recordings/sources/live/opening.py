@@ -61,7 +61,7 @@ def open_live(
     name, is_calibrated = address.public_name, address.kind in _FACTORY_CALIBRATED
     if calibration is None and not is_calibrated:
         raise CalibrationError(
-            f"{name}: a live camera needs --calibration FILE; `vo calibrate` makes one from images "
+            f"{name}: a live camera needs `calibration=FILE`; `vo calibrate` makes one from images "
             "of a chessboard (docs/calibration.md)"
         )
     clock = HostClock()
@@ -123,7 +123,7 @@ def _connector(
     if options.side_by_side:
         if len(connects) > 1:
             raise SourceError(
-                f"{address.public_name}: --side-by-side is for one device that gives both images"
+                f"{address.public_name}: `side_by_side` is for one device that gives both images"
             )
         return lambda: SideBySideDevice(connects[0]())
     if len(connects) > 1 and mode != "mono":
@@ -140,7 +140,7 @@ def _connector(
 def _stereo_camera(address: LiveAddress, options: LiveOptions, clock: HostClock) -> Connect:
     """A function that connects to a camera with a driver and a calibration of its own."""
     if options.side_by_side:
-        raise SourceError(f"{address.public_name} gives two images; leave --side-by-side out")
+        raise SourceError(f"{address.public_name} gives two images; leave `side_by_side` out")
     module, _, name = _FACTORY_CALIBRATED[address.kind].partition(":")
     serial = address.targets[0] if address.targets else None
 
@@ -163,7 +163,7 @@ def _stream(url: str, clock: HostClock) -> Device:
 def _first_images(name: str, capture: Capture, timeout_s: float) -> CapturedImages:
     first = capture.take(timeout_s)
     if first is None:
-        raise SourceError(f"{name} gives no image for {timeout_s:g} s (--timeout sets this time)")
+        raise SourceError(f"{name} gives no image for {timeout_s:g} s (`timeout_s` sets this time)")
     return first
 
 
@@ -175,11 +175,11 @@ def _rig(
     is_pair = len(first.images) > 1
     if mode == "stereo" and not is_pair:
         raise SourceError(
-            f"{name} is one camera; a pair is camera:0,1, or one image with --side-by-side"
+            f"{name} is one camera; a pair is camera:0,1, or one image with `side_by_side`"
         )
     if is_pair and rig.cam1 is None and mode != "mono":
         raise CalibrationError(
-            f"{name}: {calibration.file} has no right camera; add cam1 or use --mode mono"
+            f"{name}: {calibration.file} has no right camera; add cam1 or use `mode=mono`"
         )
     used = rig if is_pair and mode != "mono" else Rig(rig.cam0)
     for side, camera in enumerate(used.cameras):
@@ -196,7 +196,7 @@ def _wrong_size(
     whose = f"{name} gives images of {width}x{height}"
     wanted = f"but {calibration.file} is for {camera.width}x{camera.height}"
     if (camera.width * 2, camera.height) == size and not is_halved:
-        return CalibrationError(f"{whose}, {wanted}; give --side-by-side if both images are in it")
+        return CalibrationError(f"{whose}, {wanted}; give `side_by_side` if both images are in it")
     return CalibrationError(
         f"{whose}, {wanted}; set the camera to that size, or calibrate at {width}x{height}"
     )

@@ -88,7 +88,7 @@ class RealSense:
         model, coefficients = intrinsics.model.name, [float(x) for x in intrinsics.coeffs]
         if any(coefficients) and model not in _LENSES:
             raise CalibrationError(
-                f"{self._name}: distortion {model} is not supported; give --calibration FILE"
+                f"{self._name}: distortion {model} is not supported; give `calibration=FILE`"
             )
         is_fisheye = model == "kannala_brandt4"
         return make_camera(

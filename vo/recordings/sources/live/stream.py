@@ -122,7 +122,7 @@ class LiveFrames:
         if is_silent and time.monotonic() < ends_at:
             trouble = self._capture.trouble
             _log.warning(
-                "%s: no image for %g s%s; the run ends here (--timeout sets this time)",
+                "%s: no image for %g s%s; the run ends here (`timeout_s` sets this time)",
                 self.name,
                 self._timeout_s,
                 f" ({trouble})" if trouble else "",

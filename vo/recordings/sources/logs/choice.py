@@ -71,13 +71,13 @@ def _parse(options: Sequence[str]) -> dict[str, str]:
         key, equals, name = option.partition("=") if "=" in option else ("left", "=", option)
         if key not in _KEYS or not name:
             raise SourceError(
-                f"--topic {option} is invalid; give a topic, or left=TOPIC and right=TOPIC"
+                f"`topics={option}` is invalid; give a topic, or left=TOPIC and right=TOPIC"
             )
         if key in named:
-            raise SourceError(f"--topic gives two topics for {key}: {named[key]} and {name}")
+            raise SourceError(f"`topics` gives two topics for {key}: {named[key]} and {name}")
         named[key] = name
     if "right" in named and "left" not in named:
-        raise SourceError("--topic right=… requires --topic left=…")
+        raise SourceError("`topics=right=…` requires `topics=left=…`")
     return named
 
 
@@ -125,7 +125,7 @@ def _detect_pair(cameras: list[Topic], mode: Mode) -> tuple[Topic, Topic | None]
         a, b = cameras
         _log.warning(
             "%s is used as the left camera and %s as the right one; if this is wrong, choose with "
-            "--topic",
+            "`topics`",
             a.name,
             b.name,
         )
@@ -157,10 +157,10 @@ def _are_similar(a: Topic, b: Topic) -> bool:
 def _ambiguity_message(cameras: Sequence[Topic]) -> str:
     example = [topic.name for topic in cameras[:2]]
     if not cameras:
-        return "all image topics are depth, masks or similar; choose one with --topic TOPIC"
+        return "all image topics are depth, masks or similar; choose one with `topics=TOPIC`"
     return (
-        f"which of {len(cameras)} cameras? Choose with --topic left={example[0]} "
-        f"--topic right={example[1]}, or one with --topic {example[0]}\n{_table(cameras)}"
+        f"which of {len(cameras)} cameras? Choose with `topics=left={example[0]} "
+        f"right={example[1]}`, or one with `topics={example[0]}`\n{_table(cameras)}"
     )
 
 

@@ -150,7 +150,7 @@ def _ambiguity(log: Log, sources: Sequence[PoseSource], role: str) -> str:
         for each in sources
     )
     return (
-        f"{log.path} has poses in {len(sources)} places; choose the {role} with --topic "
+        f"{log.path} has poses in {len(sources)} places; choose the {role} with `topics` "
         f"{role}={sources[0].name}\n{listed}"
     )
 

@@ -77,7 +77,7 @@ def find_camera(
     others = ", ".join(topic.name for topic in calibrations) or "none"
     raise CalibrationError(
         f"no calibration for {image.name} in the log (topics with calibrations: {others}{reason}); "
-        "give a file with --calibration FILE (format: docs/calibration.md)"
+        "give a file with `calibration=FILE` (format: docs/calibration.md)"
     )
 
 
@@ -96,14 +96,14 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
         raise CalibrationError(
             f"unknown pose of {right.topic} relative to {left.topic}: no transforms connect frame "
             f"'{left.frame}' to '{right.frame}', and the last column of the right camera's P is 0; "
-            "give a file with --calibration FILE, or use --mode mono"
+            "give a file with `calibration=FILE`, or use `mode=mono`"
         )
     cosine = max(float(found[2, 2]), -1.0)
     if cosine < _MIN_COSINE:
         raise CalibrationError(
             f"the optical axes of {left.topic} and {right.topic} differ by "
             f"{np.degrees(np.arccos(cosine)):.0f} degrees, too much for a stereo pair; choose "
-            "other topics, or one with --topic"
+            "other topics, or one with `topics`"
         )
     check_baseline(f"{left.topic} and {right.topic}", found)
     return found

@@ -20,7 +20,7 @@ def find_truth_topic(topics: Sequence[Topic], named: str | None) -> Topic | None
     found = next((t for t in poses if t.name.strip("/") == named.strip("/")), None)
     if found is None:
         others = ", ".join(topic.name for topic in poses) or "none"
-        raise SourceError(f"--topic truth={named} has no poses; topics with poses: {others}")
+        raise SourceError(f"`topics=truth={named}` has no poses; topics with poses: {others}")
     return found
 
 
