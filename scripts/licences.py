@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,22 +11,22 @@ from dependencies import home_page, licence, required
 
 PATH = Path(__file__).resolve().parent.parent / "docs" / "licences.md"
 EXTRAS = ("video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep")
-_BEGIN, _END = "<!-- begin of the table -->\n", "<!-- end of the table -->\n"
+_BEGIN, _END = "<!-- begin of the list -->\n", "<!-- end of the list -->\n"
 
 
 class Row(NamedTuple):
-    """A line of the table."""
+    """A line of the list."""
 
     package: str
     installed_by: str
     licence: str
 
     def __str__(self) -> str:
-        return f"| {self.package} | {self.installed_by} | {self.licence} |"
+        return f"- {self.package}: {self.licence}"
 
 
 def rows() -> dict[str, Row]:
-    """The lines of the table by distribution: of the core, then of each extra."""
+    """The lines of the list by distribution: of the core, then of each extra."""
     found: dict[str, Row] = {}
     for extra in ("", *EXTRAS):
         for name in required((extra,) if extra else ()):
@@ -36,12 +38,13 @@ def rows() -> dict[str, Row]:
 
 
 def main() -> None:
-    """Replace the table in the page."""
+    """Replace the list in the page, with a heading for the core and each extra."""
     before, _, rest = PATH.read_text("utf-8").partition(_BEGIN)
     _, _, after = rest.partition(_END)
-    head = "\n| package | installed by | licence |\n| --- | --- | --- |\n"
-    table = head + "".join(f"{row}\n" for row in rows().values()) + "\n"
-    PATH.write_text(before + _BEGIN + table + _END + after, "utf-8")
+    parts = groupby(rows().values(), key=attrgetter("installed_by"))
+    sections = ["\n".join([f"### {name}", "", *map(str, lines), ""]) for name, lines in parts]
+    text = "\n" + "\n".join(sections) + "\n"
+    PATH.write_text(before + _BEGIN + text + _END + after, "utf-8")
 
 
 if __name__ == "__main__":

@@ -68,7 +68,7 @@ def test_constraints_are_versions_only() -> None:
 def test_the_page_of_licences_is_current() -> None:
     lines = PATH.read_text("utf-8").splitlines()
     assert [str(row) for row in rows().values() if str(row) not in lines] == []
-    listed = {line.split("]")[0].removeprefix("| [") for line in lines if line.startswith("| [")}
+    listed = {line.split("]")[0].removeprefix("- [") for line in lines if line.startswith("- [")}
     others = listed - rows().keys()  # needed by other versions of Python only
     assert others <= {"backports-zstd", "typing-extensions", "tzdata"}
 
