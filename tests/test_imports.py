@@ -108,7 +108,7 @@ RULE_CASES = (
     ),
     (
         "vo.engine.tracking.tracker",
-        "import vo.engine.backend.gauge",
+        "import vo.engine.backend.covariance",
         "vo.engine.tracking must not know vo.engine.backend",
     ),
     (

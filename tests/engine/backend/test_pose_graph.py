@@ -9,20 +9,12 @@ import numpy as np
 import pytest
 from graphs import LOOP_SIGMA, Laps, believed, cut, laps, with_loops, with_wrong_motion
 
-from vo.base.types import Floats
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.graph_solution import optimise_graph
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.geometry import sim3
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.places.records import (
-    InertialPose,
-    Loop,
-    Place,
-    PlacedKeyframes,
-    PlaceKey,
-    PlaceLandmarks,
-)
+from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
 
 
 def test_nothing_moves_without_loops() -> None:
@@ -48,6 +40,10 @@ def test_true_loops_take_the_drift_away(scale_sigma: float) -> None:
         placed = optimise_graph(case.problem)
         assert believed(placed, case.problem).mean() > 0.95
         assert case.error_m(placed) < 0.5 * case.odometry_error_m()
+        first = case.problem.odom_from_cam[0]
+        np.testing.assert_allclose(placed.world_from_cam[0], first, rtol=0, atol=1e-12)
+        if case.problem.is_metric.all():
+            np.testing.assert_array_equal(placed.scale, 1.0)
 
 
 @pytest.mark.parametrize("groups", [0, 1, 3])
@@ -87,19 +83,6 @@ def test_false_loops_alone_change_nothing() -> None:
     placed = optimise_graph(case.problem)
     assert len(placed.rejected) == 20
     np.testing.assert_array_equal(placed.world_from_cam, case.problem.odom_from_cam)
-
-
-def test_the_first_keyframe_stays_where_it_is() -> None:
-    case = laps(1)
-    placed = optimise_graph(case.problem)
-    np.testing.assert_allclose(
-        placed.world_from_cam[0], case.problem.odom_from_cam[0], rtol=0, atol=1e-12
-    )
-
-
-def test_metric_keyframes_keep_their_scale() -> None:
-    placed = optimise_graph(laps(1).problem)
-    np.testing.assert_array_equal(placed.scale, 1.0)
 
 
 def test_drift_of_scale_is_found() -> None:
@@ -148,23 +131,6 @@ def _in_new_unit(loop: Loop, factor: float) -> Loop:
     if loop.later.keyframe >= 150:
         scale /= factor
     return replace(loop, earlier_from_later=relation, scale=scale)
-
-
-def test_two_loops_do_not_merge_segments() -> None:
-    case = laps(4)
-    problem = cut(case.problem, 150)
-    between = [loop for loop in problem.loops if loop.earlier.keyframe < 150 <= loop.later.keyframe]
-    placed = optimise_graph(with_loops(problem, tuple(between[:2])))
-    assert set(placed.world.tolist()) == {0, 1}
-    assert len(placed.rejected) == 2
-
-
-def test_a_segment_that_fits_in_two_places_stays_apart() -> None:
-    case = laps(4)
-    problem = cut(case.problem, 150)
-    between = [loop for loop in problem.loops if loop.earlier.keyframe < 150 <= loop.later.keyframe]
-    placed = optimise_graph(with_loops(problem, (*between, *_copies(problem, between))))
-    assert set(placed.world.tolist()) == {0, 1}
 
 
 WRONG = sim3.retract(np.array([0.02, 0.33, 0.0, 0.8, 0.0, 0.3, 0.0]))  # 19 degrees, 0.85 m
@@ -216,20 +182,19 @@ def test_false_loops_across_doubted_motions_are_refused(groups: int) -> None:
         np.testing.assert_array_equal(believed(placed, case.problem), case.is_true)
 
 
-def test_two_loops_do_not_mend_a_motion() -> None:
-    case = laps(4)
-    problem = with_wrong_motion(case.problem, AT, WRONG)
-    placed = optimise_graph(with_loops(problem, tuple(_across(problem)[:2])))
-    assert placed.wrong == () and len(placed.rejected) == 2
-    np.testing.assert_array_equal(placed.world_from_cam, problem.odom_from_cam)
-
-
-def test_loops_to_two_places_do_not_mend_a_motion() -> None:
-    case = laps(4)
-    problem = with_wrong_motion(case.problem, AT, WRONG)
-    loops = (*_across(problem), *_copies(problem, _across(problem)))
-    placed = optimise_graph(with_loops(problem, loops))
-    assert placed.wrong == ()
+@pytest.mark.parametrize("is_copied", [False, True])
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_neither_two_loops_nor_loops_to_two_places_join_parts(
+    is_cut: bool, is_copied: bool
+) -> None:
+    """Neither two segments, nor what lies beside a wrong motion."""
+    problem = laps(4).problem
+    problem = cut(problem, AT) if is_cut else with_wrong_motion(problem, AT, WRONG)
+    loops = _across(problem)
+    chosen = [*loops, *_copies(problem, loops)] if is_copied else loops[:2]
+    placed = optimise_graph(with_loops(problem, tuple(chosen)))
+    assert placed.wrong == () and set(placed.world.tolist()) == ({0, 1} if is_cut else {0})
+    assert is_copied or len(placed.rejected) == 2
     np.testing.assert_array_equal(placed.world_from_cam, problem.odom_from_cam)
 
 
@@ -310,20 +275,11 @@ def test_the_same_bits_come_out_again_and_of_another_process() -> None:
 
 def test_a_loaded_map_stays_as_it_is() -> None:
     case = laps(4)
-    first = replace(
-        *(case.problem,),
-        **{
-            name: getattr(case.problem, name)[:150]
-            for name in (
-                *("keys", "chain", "is_rigid", "is_metric", "is_inertial"),
-                *("odom_from_cam", "scale", "covariance", "is_doubted"),
-            )
-        },
-        loops=(),
-    )
+    rows = {name: value[:150] for name, value in vars(case.problem).items() if name != "loops"}
+    first = replace(case.problem, **rows, loops=())
     stored = optimise_graph(first)
     graph = PoseGraph()
-    graph.add_map(stored, [True] * 150)
+    graph.add_map(stored, is_metric=True)
     whole = cut(case.problem, 150)
     for n in range(150, 300):
         graph.add_keyframe(_place(whole, n, session=1, segment=0))
@@ -356,15 +312,13 @@ def test_inertial_poses_give_their_segment_metres_and_take_part_in_the_graph() -
     case = laps(0, noise=1e-6, scale_sigma=1e-9)
     scaled = replace(case.problem, odom_from_cam=case.problem.odom_from_cam.copy())
     scaled.odom_from_cam[:, :3, 3] *= 0.5
-    loops = [
-        replace(loop, earlier_from_later=sim3.rigid_part(loop.earlier_from_later))
-        for loop in scaled.loops
-    ]
-    graph = PoseGraph()
+    graph, loops = PoseGraph(), []
+    for loop in scaled.loops:
+        relation = sim3.rigid_part(loop.earlier_from_later)
+        relation[:3, 3] *= 0.5
+        loops.append(replace(loop, earlier_from_later=relation))
     for n in range(300):
         graph.add_keyframe(_place(scaled, n, session=0, segment=int(n >= 150)))
-    for loop in loops:
-        loop.earlier_from_later[:3, 3] *= 0.5
     known = [n for n in range(10, 300) if n % 3]
     graph.submit(loops, {PlaceKey(0, n): InertialPose(0, case.truth[n], 2.0) for n in known})
     placed = graph.result()
@@ -397,17 +351,12 @@ def _graph(case: Laps, threads: int) -> PoseGraph:
     return graph
 
 
-def _place(problem: GraphProblem, n: int, session: int, segment: int) -> Place:
-    nothing: Floats = np.empty(0)
-    landmarks = PlaceLandmarks(*(nothing for _ in range(8)))  # type: ignore[arg-type]
-    return Place(
+def _place(problem: GraphProblem, n: int, session: int, segment: int) -> PathKeyframe:
+    return PathKeyframe(
         PlaceKey(session, n),
         FrameId(n, n, segment),
         bool(problem.is_metric[n]),
         problem.odom_from_cam[n],
         problem.covariance[n],
-        np.empty((0, 32), np.uint8),
-        landmarks,
-        np.zeros((1, 1), np.uint8),
         is_doubted=bool(problem.is_doubted[n]),
     )

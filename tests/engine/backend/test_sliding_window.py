@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from windows import blank_keypoints
 
 from vo.base.config import Config
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import adjoint, inverse, se3_exp, se3_log, transform_points
 from vo.base.stopwatch import Stopwatch
-from vo.base.types import Floats, Ints, Keypoints
+from vo.base.types import Floats, Ints
 from vo.engine.backend.optimizer import InProcessOptimizer
 from vo.engine.backend.sliding_window import SlidingWindow
 from vo.engine.backend.solution import WindowSolution
@@ -59,17 +60,8 @@ def _scene(noise_px: float = 0.0) -> Scene:
 
 def _add_keyframe(world: LocalMap, number: int, pose: Floats) -> Keyframe:
     count = SHARED + NEWEST
-    zeros = np.zeros(count, np.float32)
-    keypoints = Keypoints(
-        np.zeros((count, 2), np.float32),
-        np.zeros(count, np.int32),
-        zeros,
-        zeros,
-        np.zeros((count, 32), np.uint8),
-    )
-    image = np.zeros((HEIGHT, WIDTH), np.uint8)
-    free = np.ones(count, dtype=bool)
-    return world.add_keyframe(FrameId(number, number, 0), image, pose, keypoints, free)
+    image, free = np.zeros((HEIGHT, WIDTH), np.uint8), np.ones(count, dtype=bool)
+    return world.add_keyframe(FrameId(number, number, 0), image, pose, blank_keypoints(count), free)
 
 
 def _add_landmarks(world: LocalMap, xyz: Floats, reference: Keyframe) -> Ints:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 import pytest
-from windows import Window, drive
+from windows import Window, blank_keypoints, drive
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.stopwatch import Stopwatch
-from vo.base.types import Floats, Keypoints
+from vo.base.types import Floats
 from vo.engine.backend.optimizer import InProcessOptimizer
 from vo.engine.backend.process import OptimizerProcess
 from vo.engine.backend.sliding_window import SlidingWindow
@@ -201,17 +201,9 @@ def _map_of(window: Window) -> LocalMap:
     rig = RectifiedRig(640, 400, *problem.intrinsics, problem.baseline_m, np.eye(4))
     layout = DescriptorFormat(32, np.dtype(np.uint8))
     local_map = LocalMap(rig, len(window.world_from_cam), layout)
-    zeros = np.zeros(count, np.float32)
-    keypoints = Keypoints(
-        np.zeros((count, 2), np.float32),
-        np.zeros(count, np.int32),
-        zeros,
-        zeros,
-        np.zeros((count, 32), np.uint8),
-    )
     free, image = np.ones(count, dtype=bool), np.zeros((400, 640), np.uint8)
     for k, pose in enumerate(window.world_from_cam):
-        local_map.add_keyframe(FrameId(k, k, 0), image, pose, keypoints, free)
+        local_map.add_keyframe(FrameId(k, k, 0), image, pose, blank_keypoints(count), free)
     first = local_map.keyframes[0]
     first.covariance = np.zeros((6, 6))
     local_map.add_landmarks(window.points, first, np.arange(count), first)

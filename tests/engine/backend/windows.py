@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse, se3_exp, se3_log, transform_points
-from vo.base.types import Floats
+from vo.base.types import Floats, Ints, Keypoints
 from vo.engine.backend.covariance import propagated
 from vo.engine.backend.solution import WindowSolution
 from vo.engine.backend.window_problem import WindowProblem
@@ -47,6 +47,19 @@ class Window:
         """(K, 6) tangents xi with truth = estimate @ exp(xi)."""
         pairs = zip(self.world_from_cam, world_from_cam, strict=True)
         return np.stack([se3_log(inverse(found) @ truth) for truth, found in pairs])
+
+
+def observed(problem: WindowProblem, rows: Ints) -> WindowProblem:
+    """The problem with some of its observations, in another order or several times."""
+    names = ("keyframe", "point", "xy", "disparity", "sigma_px")
+    return replace(problem, **{name: getattr(problem, name)[rows] for name in names})
+
+
+def blank_keypoints(count: int) -> Keypoints:
+    """Keypoints that nothing looks at."""
+    zeros = np.zeros(count, np.float32)
+    pixels, octave = np.zeros((count, 2), np.float32), np.zeros(count, np.int32)
+    return Keypoints(pixels, octave, zeros, zeros, np.zeros((count, 32), np.uint8))
 
 
 def covariance_given_held(solution: WindowSolution) -> Floats:

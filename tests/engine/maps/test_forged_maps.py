@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 from vo.base.errors import SourceError
 from vo.base.types import Camera
 from vo.cli.app import app
+from vo.engine.maps import map_file
 from vo.engine.maps.map_file import MapFile, MapHeader, write_map
-from vo.engine.places import map_file
 from vo.engine.places.encoding import encode_place
 from vo.engine.places.records import Loop, MarkerVisit, Place, PlacedKeyframes
 from vo.tools.maps.contents import map_contents

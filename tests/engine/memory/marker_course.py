@@ -86,7 +86,7 @@ class Course:
         graph = PoseGraph()
         if self.before is not None:
             placed = self.before.placed()
-            graph.add_map(placed, [place.is_metric for place in self.before.places])
+            graph.add_map(placed, is_metric=self.before.places[0].is_metric)
         for place in self.places:
             graph.add_keyframe(place)
         graph.submit(self.loops, doubted=self.markers.repeated)

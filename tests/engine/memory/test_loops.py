@@ -125,21 +125,13 @@ def test_the_path_before_loops_is_that_of_a_run_without_them(plain: Path, closed
     assert not (plain / "odometry.tum").exists()
 
 
-def test_repeated_runs_and_a_single_thread_give_the_same_bytes(
+def test_a_single_thread_and_the_default_where_features_allow_loops_give_the_same_bytes(
     rounds: Path, closed: Path, tmp_path: Path
 ) -> None:
-    run_rounds(rounds, tmp_path / "again", "memory.loops=true", "threads=1")
-    for name in FILES:
-        assert (tmp_path / "again" / name).read_bytes() == (closed / name).read_bytes()
-    assert _loops(tmp_path / "again") == _loops(closed)
-
-
-def test_loops_are_closed_by_default_where_features_allow_it(
-    rounds: Path, closed: Path, tmp_path: Path
-) -> None:
-    run_rounds(rounds, tmp_path / "default")
+    run_rounds(rounds, tmp_path / "default", "threads=1")
     for name in FILES:
         assert (tmp_path / "default" / name).read_bytes() == (closed / name).read_bytes()
+    assert _loops(tmp_path / "default") == _loops(closed)
     summary = run_rounds(rounds, tmp_path / "fast", "features.detector=sift", end=20)
     assert summary["loops"] == []
     with pytest.raises(ConfigError, match="binary descriptors"):

@@ -12,9 +12,8 @@ from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.geometry import sim3
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.places.loop_verification import LoopVerifier
+from vo.engine.places.loop_verification import LoopVerifier, Rejection, RejectionReason
 from vo.engine.places.records import PATCH_PX, Loop, Place, PlaceKey, PlaceLandmarks
-from vo.engine.places.rejection import Rejection, RejectionReason
 from vo.engine.places.screening import Screening
 from vo.engine.places.vocabulary_file import built_in_vocabulary
 

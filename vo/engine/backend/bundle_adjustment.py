@@ -19,9 +19,8 @@ import numpy as np
 
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
-from vo.engine.backend.gauge import Gauge, gauge_of
 from vo.engine.backend.residuals import residuals
-from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig

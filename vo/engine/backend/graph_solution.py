@@ -7,9 +7,7 @@ import logging
 import numpy as np
 
 from vo.base.types import Bools, Floats, Ints
-from vo.engine.backend.chain_motion import ChainMotions
-from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
-from vo.engine.backend.chain_worlds import (
+from vo.engine.backend.chain_merging import (
     doubted_markers,
     place_chains,
     plausible_loops,
@@ -17,6 +15,8 @@ from vo.engine.backend.chain_worlds import (
     without_weak_merges,
     worlds_of,
 )
+from vo.engine.backend.chain_motion import ChainMotions
+from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.loop_edges import LoopEdges, loop_edges, squared_distance
 from vo.engine.geometry import sim3

@@ -68,7 +68,7 @@ class PoseGraph:
             keyframe.is_doubted,
         )
 
-    def add_map(self, placed: PlacedKeyframes, is_metric: Sequence[bool]) -> None:
+    def add_map(self, placed: PlacedKeyframes, *, is_metric: bool) -> None:
         """Add the keyframes of a loaded map, which keep their relative poses.
 
         To be called before any keyframe of the run is added. Worlds of the map keep their numbers,
@@ -79,7 +79,7 @@ class PoseGraph:
                 key,
                 int(placed.world[n]),
                 True,
-                is_metric[n],
+                is_metric,
                 placed.world_from_cam[n],
                 float(placed.scale[n]),
                 np.zeros((6, 6)),

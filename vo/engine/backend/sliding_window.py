@@ -13,9 +13,9 @@ from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import views_of
+from vo.engine.backend.covariance import update_covariances
 from vo.engine.backend.landmark_selection import choose_landmarks
 from vo.engine.backend.optimizer import WindowOptimizer
-from vo.engine.backend.path_covariance import update_covariances
 from vo.engine.backend.residuals import residuals
 from vo.engine.backend.solution import WindowSolution
 from vo.engine.backend.window_problem import FactorSource, WindowProblem

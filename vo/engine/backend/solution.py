@@ -11,10 +11,9 @@ from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.calibration_residual import estimate_calibration_residual
-from vo.engine.backend.gauge import gauge_of
 from vo.engine.backend.information import pose_information
 from vo.engine.backend.linearisation import linearise
-from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.backend.window_problem import WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig

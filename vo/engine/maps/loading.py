@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from vo.base.errors import ConfigError
-from vo.base.types import Camera
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.maps.map_file import MapFile
+from vo.engine.maps.map_file import MapFile, MapHeader
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.records import Loop, MarkerVisit, PlacedKeyframes, PlaceKey
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedMap:
-    """A map whose keyframes are in the database.
+    """A map whose keyframes are in the database; `frames` are those of its keyframes."""
 
-    Attributes:
-        camera: rectified camera of its keyframes.
-        is_metric: (n,) whether lengths of each are metres.
-        metric_worlds: numbers of the worlds of one camera whose lengths are metres.
-    """
-
-    camera: Camera
-    sessions: tuple[str, ...]
+    header: MapHeader
     placed: PlacedKeyframes
-    is_metric: Sequence[bool]
     loops: tuple[Loop, ...]
-    frames: dict[PlaceKey, FrameId]
-    metric_worlds: tuple[int, ...]
     markers: tuple[MarkerVisit, ...]
+    frames: dict[PlaceKey, FrameId]
 
 
 def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> LoadedMap:
@@ -51,7 +38,6 @@ def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> Load
                 "give the same one by `memory.vocabulary`, or make the map anew"
             )
         frames: dict[PlaceKey, FrameId] = {}
-        metric: list[bool] = []
         for key in file.keys:
             place = file.place(key)
             if place.is_metric != is_metric:
@@ -63,31 +49,14 @@ def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> Load
                 )
             database.add(place, removes_redundant=False)
             frames[key] = place.frame
-            metric.append(place.is_metric)
-        return LoadedMap(
-            header.camera,
-            header.sessions,
-            file.placed,
-            metric,
-            file.loops,
-            frames,
-            header.metric_worlds,
-            file.markers,
-        )
+        return LoadedMap(header, file.placed, file.loops, file.markers, frames)
 
 
 def with_covariance_of(placed: PlacedKeyframes, loaded: PlacedKeyframes) -> PlacedKeyframes:
     """Placed keyframes, those of a loaded map with the covariances that they had in it."""
     covariance = placed.covariance.copy()
-    row_of = {key: n for n, key in enumerate(loaded.keys)}
+    known = dict(zip(loaded.keys, loaded.covariance, strict=True))
     for n, key in enumerate(placed.keys):
-        if key in row_of:
-            covariance[n] = loaded.covariance[row_of[key]]
-    return PlacedKeyframes(
-        placed.keys,
-        placed.world,
-        placed.world_from_cam,
-        placed.scale,
-        np.asarray(covariance),
-        placed.rejected,
-    )
+        if key in known:
+            covariance[n] = known[key]
+    return replace(placed, covariance=covariance)

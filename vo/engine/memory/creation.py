@@ -60,8 +60,8 @@ def make_memory(
         except BaseException:
             database.close()
             raise
-        graph.add_map(loaded.placed, loaded.is_metric)
-        session = len(loaded.sessions)
+        graph.add_map(loaded.placed, is_metric=rig.is_metric)
+        session = len(loaded.header.sessions)
     localizes = config.memory.localize
     adjusts = config.memory.adjust and not rig.is_metric and inertial is None
     describer = None if config.features.rescue == "none" else OrbExtractor(config.features)

@@ -23,7 +23,7 @@ def check_savable(path: Path, recogniser: Recogniser) -> None:
         OutputError: the loaded map is of another camera.
     """
     loaded = recogniser.loaded
-    if loaded is not None and loaded.camera != recogniser.camera:
+    if loaded is not None and loaded.header.camera != recogniser.camera:
         raise OutputError(
             f"the map {path} cannot be saved: the loaded map was made with another camera, "
             "and a map has one camera; leave out `save_map`"
@@ -54,7 +54,7 @@ def write_run(
     database, loaded = recogniser.database, recogniser.loaded
     sessions: tuple[str, ...] = (source,)
     if loaded is not None:
-        sessions = (*loaded.sessions, source)
+        sessions = (*loaded.header.sessions, source)
         placed = with_covariance_of(placed, loaded.placed)
         loops = [*loaded.loops, *loops]
         metric_worlds = metric_worlds | _metric_by(loaded, placed)
@@ -86,5 +86,5 @@ def _metric_by(loaded: LoadedMap, placed: PlacedKeyframes) -> set[int]:
     return {
         int(world)
         for key, world in zip(placed.keys, placed.world, strict=True)
-        if world_of.get(key) in loaded.metric_worlds
+        if world_of.get(key) in loaded.header.metric_worlds
     }

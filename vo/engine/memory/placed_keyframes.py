@@ -15,15 +15,7 @@ def of_worlds(placed: PlacedKeyframes, loops: Iterable[Loop]) -> PlacedKeyframes
     """The keyframes of worlds with loops; others stay where they are, to the last bit."""
     world_of = dict(zip(placed.keys, placed.world.tolist(), strict=True))
     worlds = {world_of[loop.later] for loop in loops if loop.later in world_of}
-    rows = [n for n, world in enumerate(placed.world.tolist()) if world in worlds]
-    return replace(
-        placed,
-        keys=tuple(placed.keys[n] for n in rows),
-        world=placed.world[rows],
-        world_from_cam=placed.world_from_cam[rows],
-        scale=placed.scale[rows],
-        covariance=placed.covariance[rows],
-    )
+    return placed.rows(np.flatnonzero(np.isin(placed.world, list(worlds))))
 
 
 def with_adjusted(placed: PlacedKeyframes, adjusted: Sequence[PlacedKeyframes]) -> PlacedKeyframes:

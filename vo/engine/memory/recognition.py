@@ -197,4 +197,4 @@ class Recogniser:
     def _camera_of(self, place: Place) -> Camera | None:
         """That of the loaded map for one of its keyframes."""
         is_loaded = self.loaded is not None and place.key in self.loaded.frames
-        return self.loaded.camera if self.loaded is not None and is_loaded else None
+        return self.loaded.header.camera if self.loaded is not None and is_loaded else None

@@ -37,7 +37,7 @@ class RunInMap:
         """What is reported, None without a map."""
         if self._loaded is None:
             return None
-        return MapUse(self._file, self._loaded.sessions, self.met, self._metric.by_map)
+        return MapUse(self._file, self._loaded.header.sessions, self.met, self._metric.by_map)
 
     @property
     def markers(self) -> list[tuple[MarkerVisit, FrameId]]:
@@ -67,7 +67,7 @@ class RunInMap:
                 segment = frames[key].segment
                 number[world] = min(number.get(world, segment), segment)
         self.met = tuple(sorted(n for world, n in number.items() if world <= last))
-        metric = self._loaded.metric_worlds
+        metric = self._loaded.header.metric_worlds
         self._metric.by_map = tuple(sorted(n for world, n in number.items() if world in metric))
         world = np.array([number.get(w, w) for w in placed.world.tolist()], np.int64)
         return replace(placed, world=world)

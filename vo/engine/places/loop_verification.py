@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +22,6 @@ from vo.engine.places.landmark_search import (
 )
 from vo.engine.places.merged_landmarks import in_view, merge_landmarks
 from vo.engine.places.records import Loop, Place
-from vo.engine.places.rejection import Rejection, RejectionReason
 from vo.engine.places.relation import LandmarkPairs, Relation, refine_relation, sample_relation
 
 _MIN_LANDMARKS = 30
@@ -41,6 +42,35 @@ _SUCCESSION, _MIN_SUPPORT = 3, 15  # keyframes that must agree, and inliers of e
 # pairs, 19 in 20 have 0.005 or less in rendered rooms and streets, and 0.04 in a real drive.
 _MAX_DIFFERENT, _MIN_WINDOWS = 0.04, 30
 _COVARIANCE_SCALE = 14.0  # as in windows, see docs/accuracy.md
+
+
+class RejectionReason(Enum):
+    """Why two keyframes are not taken for the same place; the value is the text."""
+
+    FEW_LANDMARKS = "{value:.0f} landmarks in one of the keyframes, {needed:.0f} needed"
+    FEW_MATCHES = "{value:.0f} landmarks have matching descriptors, {needed:.0f} needed"
+    NO_RELATION = "{value:.0f} landmarks agree on a relation, {needed:.0f} needed"
+    FEW_INLIERS = "{value:.0f} landmarks agree in position and patch, {needed:.0f} needed"
+    SMALL_AREA = "the landmarks that agree cover {value:.2f} of the image, {needed:.2f} needed"
+    MISSING_LANDMARKS = "{value:.2f} of the expected landmarks are found, {needed:.2f} needed"
+    UNCERTAIN = "the relation is uncertain by {value:.2f} of the distance, at most {needed:.2f}"
+    FAR_APART = (
+        "the keyframes are {value:.2f} of the distance of the landmarks apart, at most {needed:.2f}"
+    )
+    IMPLAUSIBLE_SCALE = "the scales differ by a factor of {value:.2f}, at most {needed:.2f}"
+    FEW_WINDOWS = "{value:.0f} windows around landmarks can be compared, {needed:.0f} needed"
+    DIFFERENT_IMAGES = (
+        "{value:.3f} of the windows around landmarks look different, at most {needed:.3f}"
+    )
+    ONLY_ONCE = "{value:.0f} successive keyframes agree, {needed:.0f} needed"
+
+
+class Rejection(NamedTuple):
+    """The first test that failed, the number found, and the number that it is compared with."""
+
+    reason: RejectionReason
+    value: float
+    needed: float
 
 
 class LoopVerifier:

@@ -8,6 +8,7 @@ two frames `odom` and `map`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -190,3 +191,15 @@ class PlacedKeyframes:
     covariance: Floats
     rejected: tuple[Loop, ...]
     wrong: tuple[PlaceKey, ...] = ()
+
+    def rows(self, rows: Ints | Sequence[int]) -> PlacedKeyframes:
+        """Those of some rows."""
+        return PlacedKeyframes(
+            tuple(self.keys[n] for n in rows),
+            self.world[rows],
+            self.world_from_cam[rows],
+            self.scale[rows],
+            self.covariance[rows],
+            self.rejected,
+            self.wrong,
+        )

@@ -8,8 +8,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from vo.base.config import Config
 from vo.base.errors import ConfigError
 from vo.engine.backend.pose_graph import PoseGraph
@@ -19,7 +17,7 @@ from vo.engine.memory.creation import make_judges
 from vo.engine.memory.recognition import SUCCESSION, Recogniser
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, Place, PlaceKey
 from vo.engine.places.vocabulary import Vocabulary
 
 
@@ -45,14 +43,20 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         OutputError: the file cannot be written.
     """
     with MapFile(second) as added, KeyframeDatabase(vocabulary) as database:
-        is_metric = [added.place(key).is_metric for key in added.keys]
-        loaded = load_map(first, database, is_metric=bool(is_metric[:1] == [True]))
-        _check(added, first, second, loaded.camera, vocabulary, is_metric)
-        sessions = len(loaded.sessions)
+        is_metric = len(added) > 0 and added.place(added.keys[0]).is_metric
+        loaded = load_map(first, database, is_metric=is_metric)
+        _check(added, first, loaded.header, vocabulary)
+        sessions = len(loaded.header.sessions)
         places = list(_in_order(added, sessions))
         loops = _search(database, loaded, places)
-        placed = _renumbered(added.placed, sessions, int(loaded.placed.world.max(initial=-1)) + 1)
-        both = _connected(loaded, placed, is_metric, loops)
+        worlds = int(loaded.placed.world.max(initial=-1)) + 1
+        keys = tuple(_moved(key, sessions) for key in added.keys)
+        placed = replace(added.placed, keys=keys, world=added.placed.world + worlds)
+        graph = PoseGraph()
+        graph.add_map(loaded.placed, is_metric=is_metric)
+        graph.add_map(placed, is_metric=is_metric)
+        graph.submit(loops)
+        both = graph.result()
         rejected = {(loop.earlier, loop.later) for loop in both.rejected}
         kept = [loop for loop in loops if (loop.earlier, loop.later) not in rejected]
         if not kept:
@@ -62,12 +66,11 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
             )
         keyframes = [(key, database.encoded(key)) for key in loaded.placed.keys]
         keyframes += [(place.key, encode_place(place)) for place in places]
-        names = (*loaded.sessions, *added.header.sessions)
-        first_worlds = int(loaded.placed.world.max(initial=-1)) + 1
-        own_worlds = {first_worlds + world for world in added.header.metric_worlds}
-        metric = {*loaded.metric_worlds, *own_worlds} & set(both.world.tolist())
-        header = MapHeader(loaded.camera, vocabulary.id, names, tuple(sorted(metric)))
-        both = with_covariance_of(both, _joined(loaded.placed, placed))
+        names = (*loaded.header.sessions, *added.header.sessions)
+        own_worlds = {worlds + world for world in added.header.metric_worlds}
+        metric = {*loaded.header.metric_worlds, *own_worlds} & set(both.world.tolist())
+        header = MapHeader(loaded.header.camera, vocabulary.id, names, tuple(sorted(metric)))
+        both = with_covariance_of(with_covariance_of(both, loaded.placed), placed)
         own = [_of_later_session(loop, sessions) for loop in added.loops]
         markers = [each._replace(key=_moved(each.key, sessions)) for each in added.markers]
         markers = [*loaded.markers, *markers]
@@ -75,22 +78,16 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         return len(kept)
 
 
-def _check(
-    added: MapFile,
-    first: Path,
-    second: Path,
-    camera: object,
-    vocabulary: Vocabulary,
-    is_metric: list[bool],
-) -> None:
+def _check(added: MapFile, first: Path, header: MapHeader, vocabulary: Vocabulary) -> None:
+    second = added.path
     if added.header.vocabulary != vocabulary.id:
         raise ConfigError(f"the maps {first} and {second} were made with different vocabularies")
-    if added.header.camera != camera:
+    if added.header.camera != header.camera:
         raise ConfigError(
             f"the maps {first} and {second} were made with different cameras, and a map has one "
             "camera"
         )
-    if not is_metric:
+    if not len(added):
         raise ConfigError(f"the map {second} has no keyframes")
 
 
@@ -104,7 +101,7 @@ def _in_order(added: MapFile, sessions: int) -> Iterator[Place]:
 def _search(database: KeyframeDatabase, loaded: LoadedMap, places: list[Place]) -> list[Loop]:
     """Loops from keyframes to those of the first map."""
     judges = partial(make_judges, database.vocabulary, Config())
-    recogniser = Recogniser(database, judges, loaded.camera, 1, loaded, localizes=True)
+    recogniser = Recogniser(database, judges, loaded.header.camera, 1, loaded, localizes=True)
     recent: deque[Place] = deque(maxlen=SUCCESSION)
     found: list[Loop] = []
     for place in places:
@@ -119,23 +116,6 @@ def _segment(place: Place) -> tuple[int, int]:
     return place.key.session, place.frame.segment
 
 
-def _connected(
-    loaded: LoadedMap, added: PlacedKeyframes, is_metric: list[bool], loops: list[Loop]
-) -> PlacedKeyframes:
-    """All keyframes, in the worlds that loops connect."""
-    graph = PoseGraph()
-    graph.add_map(loaded.placed, loaded.is_metric)
-    graph.add_map(added, is_metric)
-    graph.submit(loops)
-    return graph.result()
-
-
-def _renumbered(placed: PlacedKeyframes, sessions: int, worlds: int) -> PlacedKeyframes:
-    """Keyframes with the numbers of sessions and worlds that they have after those of a map."""
-    keys = tuple(_moved(key, sessions) for key in placed.keys)
-    return replace(placed, keys=keys, world=placed.world + worlds)
-
-
 def _of_later_session(loop: Loop, sessions: int) -> Loop:
     earlier, later = _moved(loop.earlier, sessions), _moved(loop.later, sessions)
     return replace(loop, earlier=earlier, later=later)
@@ -143,14 +123,3 @@ def _of_later_session(loop: Loop, sessions: int) -> Loop:
 
 def _moved(key: PlaceKey, sessions: int) -> PlaceKey:
     return PlaceKey(key.session + sessions, key.keyframe)
-
-
-def _joined(first: PlacedKeyframes, second: PlacedKeyframes) -> PlacedKeyframes:
-    return PlacedKeyframes(
-        first.keys + second.keys,
-        np.concatenate([first.world, second.world]),
-        np.concatenate([first.world_from_cam, second.world_from_cam]),
-        np.concatenate([first.scale, second.scale]),
-        np.concatenate([first.covariance, second.covariance]),
-        (),
-    )
