@@ -11,7 +11,7 @@ from vo.base.geometry.cameras import distort, normalise
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.markers.dictionaries import dictionary
-from vo.engine.markers.plane_pose import square_points
+from vo.engine.markers.marker_problem import square_points
 
 SUPERSAMPLING = 4
 

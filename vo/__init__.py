@@ -44,7 +44,6 @@ if TYPE_CHECKING:
         State,
         Trajectory,
     )
-    from vo.engine.markers.records import Marker, PlanePose
     from vo.engine.stages import Components
     from vo.outputs.evaluation.report import Evaluation
     from vo.outputs.recorders.exports import Exports
@@ -54,6 +53,7 @@ if TYPE_CHECKING:
     from vo.recordings.formats.trajectory import write_tum as write_trajectory
     from vo.recordings.sources.registry import open_source as open
     from vo.recordings.sources.source import FrameStream, Recording
+    from vo.tools.markers.image_markers import Marker, PlanePose
     from vo.tools.objects.records import FoundObject
     from vo.tools.rendering.render import Rendered, RenderOptions, render
 
@@ -79,12 +79,12 @@ _DEFINED_IN = {
     "FrameStream": "vo.recordings.sources.source:FrameStream",
     "InputError": "vo.base.errors:InputError",
     "KeyframePose": "vo.base.types:KeyframePose",
-    "Marker": "vo.engine.markers.records:Marker",
+    "Marker": "vo.tools.markers.image_markers:Marker",
     "MetricScale": "vo.base.records.metric_scale:MetricScale",
     "ObjectDatabase": "vo.api.objects:ObjectDatabase",
     "Odometry": "vo.api.odometry:Odometry",
     "OutputError": "vo.base.errors:OutputError",
-    "PlanePose": "vo.engine.markers.records:PlanePose",
+    "PlanePose": "vo.tools.markers.image_markers:PlanePose",
     "Recording": "vo.recordings.sources.source:Recording",
     "RenderOptions": "vo.tools.rendering.render:RenderOptions",
     "Rendered": "vo.tools.rendering.render:Rendered",

@@ -10,11 +10,11 @@ from vo.base.errors import CalibrationError, ConfigError
 from vo.base.images.given_images import ColourOrder, grey_image
 from vo.base.types import Camera, Rig
 from vo.engine.markers.dictionaries import dictionary_name
-from vo.engine.markers.records import Marker
 from vo.recordings.formats.calibration import Calibration, read_calibration
 from vo.recordings.sources.single_image import read_single_image
 from vo.tools.markers.boards import check_length
 from vo.tools.markers.detection import Refinement, make_detector
+from vo.tools.markers.image_markers import Marker
 from vo.tools.markers.search import MarkerFinder
 
 

@@ -16,7 +16,6 @@ from vo.cli.echo import echo, echo_json
 from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
 from vo.engine.markers.dictionaries import AUTO, CANDIDATES, DEFAULT_TO_PRINT, dictionary_name
-from vo.engine.markers.records import FrameMarkers
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
@@ -24,6 +23,7 @@ from vo.recordings.sources.single_image import read_single_image
 from vo.tools.markers.boards import CharucoBoard, MarkerBoard, check_length, make_charuco, make_grid
 from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
+from vo.tools.markers.image_markers import FrameMarkers
 from vo.tools.markers.picture import check_picture, draw_markers, save_picture
 from vo.tools.markers.printing import parse_ids, save_sheet
 from vo.tools.markers.search import MarkerFinder, find_too_small

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from vo.cli.console import standard_output
 from vo.cli.markers_run import MarkersResult
-from vo.engine.markers.records import FrameMarkers, Marker, PlanePose
+from vo.tools.markers.image_markers import FrameMarkers, Marker, PlanePose
 
 
 def print_markers(result: MarkersResult, console: Console | None = None) -> None:

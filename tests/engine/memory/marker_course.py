@@ -12,10 +12,10 @@ from vo.base.geometry.transforms import inverse, make_transform, so3_exp
 from vo.base.types import Camera, Floats
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.markers.marker_problem import MarkerView
-from vo.engine.markers.plane_pose import plane_pose, square_points
+from vo.engine.markers.marker_problem import MarkerView, square_points
 from vo.engine.memory.marker_loops import MarkerLoops
-from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
+from vo.engine.places.records import Loop, PathKeyframe, PlacedKeyframes, PlaceKey
+from vo.tools.markers.plane_pose import plane_pose
 
 CAMERA = Camera(640, 480, 400.0, 400.0, 319.5, 239.5)
 LAP, STEP_NS = 100, 300_000_000  # keyframes of a lap of 40 m, and the time between two
@@ -78,7 +78,7 @@ class Course:
     truth: Floats
     odometry: Floats
     markers: MarkerLoops
-    places: list[Place] = field(default_factory=list)
+    places: list[PathKeyframe] = field(default_factory=list)
     loops: list[Loop] = field(default_factory=list)
     before: Course | None = None
 
@@ -154,21 +154,12 @@ def simulate(
         loops.see(n, [view for view in views if view.id not in repeated], repeated)
         segment = 0 if cut is None or n < cut else 1
         key = PlaceKey(0 if before is None else 1, n)
-        place = _place(key, segment, odometry[n], covariance, is_metric=is_metric)
+        frame = FrameId(n, n * STEP_NS, segment)
+        place = PathKeyframe(key, frame, is_metric, odometry[n], covariance)
         course.places.append(place)
         course.loops += loops.add(place)
     course.loops += loops.finish()
     return course
-
-
-def _place(
-    key: PlaceKey, segment: int, pose: Floats, covariance: Floats, *, is_metric: bool
-) -> Place:
-    none = np.zeros(0)
-    landmarks = PlaceLandmarks(*[none] * 8)  # type: ignore[arg-type]
-    frame = FrameId(key.keyframe, key.keyframe * STEP_NS, segment)
-    image = np.zeros((1, 1), np.uint8)
-    return Place(key, frame, is_metric, pose, covariance, none, landmarks, image)
 
 
 TRUTH = _truth(2 * LAP + 20)

@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from windows import blank_keypoints
 
 from vo.base.config import FeaturesConfig, load_config
 from vo.base.geometry.transforms import adjoint, inverse, so3_exp
 from vo.base.geometry.transforms import make_transform as transform_of
-from vo.base.types import Bytes, Floats, Keypoints
+from vo.base.types import Bytes, Floats
 from vo.engine.frontend.orb import OrbExtractor
 from vo.engine.mapping.keyframe import FrameId, Keyframe
 from vo.engine.mapping.keyframe_motion import motion_covariance, motion_covariances
@@ -151,13 +152,6 @@ def _keyframe(
     number: int, world_from_cam: Floats, covariance: Floats, cross: dict[int, Floats]
 ) -> Keyframe:
     nothing = np.empty((0, 2))
-    keypoints = Keypoints(
-        nothing.astype(np.float32),
-        np.empty(0, np.int32),
-        np.empty(0, np.float32),
-        np.empty(0, np.float32),
-        np.empty((0, 32), np.uint8),
-    )
     return Keyframe(
         number,
         FrameId(number, number, 0),
@@ -165,7 +159,7 @@ def _keyframe(
         world_from_cam,
         covariance,
         cross,
-        keypoints,
+        blank_keypoints(0),
         nothing,
         np.empty(0, bool),
         np.empty(0, np.int64),

@@ -68,26 +68,19 @@ def test_pauses_grow_with_the_loops_of_a_place(
     assert _pause_s(database, pauses, times) == pytest.approx(expected_s, abs=0.05)
 
 
+@pytest.mark.parametrize("has_loop", [True, False])
 def test_keyframes_between_loops_to_a_place_with_many_are_removed(
-    database: KeyframeDatabase,
+    database: KeyframeDatabase, has_loop: bool
 ) -> None:
+    """Without a loop after them they stay."""
     pauses = _seen(database, 100)
     between, again = _place(101, 2000.7), _place(102, 2015.0)
     for place in (between, again):
         database.add(place, removes_redundant=False)
     assert pauses.skips(between) and not pauses.skips(again)
-    assert pauses.note(again, [_loop(PlaceKey(0, 0), again)]) == (between.key,)
-    assert between.key not in database
-
-
-def test_keyframes_stay_without_a_loop_after_them(database: KeyframeDatabase) -> None:
-    pauses = _seen(database, 100)
-    between, again = _place(101, 2000.7), _place(102, 2015.0)
-    for place in (between, again):
-        database.add(place, removes_redundant=False)
-    assert pauses.skips(between) and not pauses.skips(again)
-    assert pauses.note(again, []) == ()
-    assert between.key in database
+    loops = [_loop(PlaceKey(0, 0), again)] if has_loop else []
+    assert pauses.note(again, loops) == ((between.key,) if has_loop else ())
+    assert (between.key in database) != has_loop
 
 
 def test_a_keyframe_that_shows_something_else_is_searched_and_stays(

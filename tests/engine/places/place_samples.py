@@ -7,7 +7,8 @@ import numpy as np
 from vo.base.types import Bytes, Ints
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
-from vo.engine.places.vocabulary import Vocabulary, train
+from vo.engine.places.vocabulary import Vocabulary
+from vo.tools.laboratory.vocabulary_training import train
 
 WIDTH = 32
 

@@ -9,13 +9,14 @@ from hypothesis import strategies as st
 from place_samples import random_descriptors, small_vocabulary
 
 from vo.base.errors import InputError, ModelError, OutputError
-from vo.engine.places.vocabulary import Vocabulary, similarity, train
+from vo.engine.places.vocabulary import Vocabulary, similarity
 from vo.engine.places.vocabulary_file import (
     BUILT_IN,
     built_in_vocabulary,
     read_vocabulary,
     write_vocabulary,
 )
+from vo.tools.laboratory.vocabulary_training import train
 
 
 def _two_words() -> Vocabulary:

@@ -261,3 +261,20 @@ def test_keyframes_that_are_stored_together_are_as_if_stored_one_by_one() -> Non
             assert one.covariance is other.covariance is None
         else:
             np.testing.assert_array_equal(one.covariance, other.covariance)
+
+
+def test_what_the_path_would_be_changes_nothing() -> None:
+    store = _with_a_gap()
+    here = np.array([1]), np.array([0])
+    store.place(*here, _pose(4)[None], np.array([2.0]), 1e-4 * np.eye(6)[None])
+    store.take_changes(), store.take_moved()
+    before, anchor, poses = store.trajectory().world_from_cam, store.anchor(0), store.keyframes()
+    move = se3_exp(np.array([0.1, 0.2, -0.1, 3.0, -1.0, 2.0]))
+    found = store.trajectory_with(*here, (move @ _pose(4))[None], np.array([1.0]))
+    expected = np.stack([move @ _pose(frame) for frame in (0, 1, 2, 3, 4, 7, 8, 9)])
+    np.testing.assert_allclose(found.world_from_cam, expected, atol=1e-12)
+    np.testing.assert_array_equal(store.trajectory().world_from_cam, before)
+    assert store.anchor(0) is anchor and store.take_moved() == ()
+    assert store.take_changes() == (len(before), len(poses))
+    for one, other in zip(store.keyframes(), poses, strict=True):
+        np.testing.assert_array_equal(one.covariance, other.covariance)

@@ -12,12 +12,13 @@ from marker_views import Placed, developed, looking_at, random_background, rende
 from vo.base.errors import ConfigError
 from vo.base.geometry.transforms import make_transform, rotation_angle
 from vo.base.types import Camera, Floats
-from vo.engine.markers.plane_pose import plane_pose, square_points
-from vo.engine.markers.records import DetectedMarker, FrameMarkers, Marker
+from vo.engine.markers.marker_problem import square_points
 from vo.tools.calibrating.printing import draw_board
 from vo.tools.markers.boards import CharucoBoard, check_length, make_charuco, make_grid
 from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MarkerDetector
+from vo.tools.markers.image_markers import DetectedMarker, FrameMarkers, Marker
+from vo.tools.markers.plane_pose import plane_pose
 from vo.tools.markers.search import MarkerFinder
 
 

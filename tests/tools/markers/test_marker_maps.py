@@ -21,7 +21,7 @@ from vo.base.geometry.transforms import (
 )
 from vo.base.types import Floats
 from vo.cli.app import app
-from vo.engine.markers.plane_pose import square_points
+from vo.engine.markers.marker_problem import square_points
 from vo.recordings.formats.trajectory import read_tum
 from vo.tools.markers.map_fit import fit_map, place_in_map
 from vo.tools.markers.marker_map import KnownMarker, MarkerMap, read_marker_map

@@ -10,9 +10,10 @@ from marker_views import Placed, developed, looking_at, random_background, rende
 from vo.base.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.markers.dictionaries import dictionary
-from vo.engine.markers.plane_pose import plane_pose, square_points
-from vo.engine.markers.records import PlanePose
+from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.detection import MarkerDetector, Refinement, find_dictionary
+from vo.tools.markers.image_markers import PlanePose
+from vo.tools.markers.plane_pose import plane_pose
 from vo.tools.markers.search import MarkerFinder, find_too_small
 
 LENGTH_M = 0.16

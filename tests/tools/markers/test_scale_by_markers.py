@@ -16,10 +16,10 @@ from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import inverse, make_transform, rotation_angle, se3_exp, so3_exp
 from vo.base.types import Camera, Floats, Trajectory
 from vo.cli.app import app
-from vo.engine.markers.marker_problem import MarkerProblem, MarkerState, MarkerView
-from vo.engine.markers.plane_pose import plane_pose, square_points
+from vo.engine.markers.marker_problem import MarkerProblem, MarkerState, MarkerView, square_points
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.registry import open_source
+from vo.tools.markers.plane_pose import plane_pose
 from vo.tools.markers.scale_fit import ScaleFit, fit_scale
 
 LENGTH_M = 0.16

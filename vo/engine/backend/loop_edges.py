@@ -40,14 +40,7 @@ class LoopEdges:
 
     def select(self, chosen: Bools | Ints) -> LoopEdges:
         """Some of the loops."""
-        return LoopEdges(
-            self.earlier[chosen],
-            self.later[chosen],
-            self.relation[chosen],
-            self.covariance[chosen],
-            self.support[chosen],
-            self.marker[chosen],
-        )
+        return LoopEdges(*(field[chosen] for field in vars(self).values()))
 
 
 def loop_edges(problem: GraphProblem) -> LoopEdges:

@@ -18,7 +18,6 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse, rotation_angle, so3_exp
 from vo.base.types import Floats, Ints
-from vo.engine.markers.plane_pose import square_points
 
 _HUBER = 3.0  # standard deviations of a corner's distance
 _MAX_ITERATIONS = 30
@@ -30,6 +29,12 @@ _MIN_DRIFT, _MAX_DRIFT = 0.5, 30.0
 _UNSEEN_DRIFT = 1.4  # residuals show less of it than there is: simulated paths
 _MAX_DRIFT_FRAMES = 120  # for which it is estimated; others are left out
 _MAX_ANGLE = np.deg2rad(25.0)  # of a view's marker from the others, to be used at the start
+
+
+def square_points(length_m: float) -> Floats:
+    """(4, 3) corners of a marker in its frame, in the order of `DetectedMarker.corners`."""
+    signs = np.array([(-1, 1, 0), (1, 1, 0), (1, -1, 0), (-1, -1, 0)], dtype=np.float64)
+    return np.asarray(0.5 * length_m * signs)
 
 
 class MarkerView(NamedTuple):

@@ -71,12 +71,8 @@ class FoundLandmarks(NamedTuple):
 
     def select(self, chosen: Bools) -> FoundLandmarks:
         """Some of the landmarks."""
-        return FoundLandmarks(
-            self.earlier[chosen],
-            self.later[chosen],
-            self.pairs.select(chosen),
-            self.correlation[chosen],
-        )
+        rest = self.pairs.select(chosen), self.correlation[chosen]
+        return FoundLandmarks(self.earlier[chosen], self.later[chosen], *rest)
 
 
 class LandmarkSearch:

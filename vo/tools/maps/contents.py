@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vo.base.errors import ConfigError
+from vo.base.geometry.transforms import quat_xyzw_from_rotation, transform_points
+from vo.base.types import Floats
+from vo.engine.geometry import sim3
 from vo.engine.maps.map_file import MapFile
-from vo.engine.maps.markers import listed_markers
+from vo.engine.markers.dictionaries import smallest_containing
+from vo.engine.markers.marker_problem import square_points
+from vo.engine.places.records import MarkerVisit, PlacedKeyframes
 
 
 def map_contents(map_file: MapFile) -> dict[str, Any]:
@@ -60,3 +66,77 @@ def chosen_world(map_file: MapFile, world: int | None) -> int:
         text = ", ".join(map(str, known)) or "none"
         raise ConfigError(f"{map_file.path} has no such world; its worlds are: {text}")
     return int(numbers[np.argmax(counts)]) if world is None else world
+
+
+def listed_markers(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[dict[str, Any]]:
+    """Where each marker is in each world, by the visit that is the most certain one.
+
+    Positions and `sigma_m` are in the unit of the world, and in metres by the sides of markers.
+    """
+    in_world = _best_visits(markers, placed)
+    names = {
+        name: smallest_containing(name, [each.id for each in markers if each.dictionary == name])
+        for name in sorted({each.dictionary for each in markers})
+    }
+    return [
+        {
+            "id": each.marker.id,
+            "dictionary": names[each.marker.dictionary],
+            "length_m": each.marker.length_m,
+            "world": each.world,
+            "position": each.world_from_marker[:3, 3].tolist(),
+            "quat_xyzw": quat_xyzw_from_rotation(
+                sim3.rigid_part(each.world_from_marker)[:3, :3]
+            ).tolist(),
+            "sigma_m": _sigma_m(each.marker),
+            "visits": each.visits,
+        }
+        for each in in_world
+    ]
+
+
+def marker_corners(markers: Sequence[MarkerVisit], placed: PlacedKeyframes, world: int) -> Floats:
+    """(n, 3) corners of the markers of a world."""
+    corners = [
+        transform_points(each.world_from_marker, square_points(each.marker.length_m))
+        for each in _best_visits(markers, placed)
+        if each.world == world
+    ]
+    return np.concatenate([np.zeros((0, 3)), *corners])
+
+
+class _InWorld(NamedTuple):
+    """A marker in a world, by the visit that is the most certain one.
+
+    Attributes:
+        world: number of the world.
+        marker: relative to its keyframe.
+        world_from_marker: (4, 4) similarity from metres to the unit of the world.
+        visits: number of visits.
+    """
+
+    world: int
+    marker: MarkerVisit
+    world_from_marker: Floats
+    visits: int
+
+
+def _best_visits(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[_InWorld]:
+    """Each marker in each world, by worlds, dictionaries and ids."""
+    row_of = {key: row for row, key in enumerate(placed.keys)}
+    world_from = sim3.similarity(placed.world_from_cam, placed.scale)
+    visits: dict[tuple[int, str, int], list[MarkerVisit]] = {}
+    for each in markers:
+        world = int(placed.world[row_of[each.key]])
+        visits.setdefault((world, each.dictionary, each.id), []).append(each)
+    found = []
+    for (world, _, _), group in sorted(visits.items()):
+        best = min(group, key=_sigma_m)
+        pose = world_from[row_of[best.key]] @ best.cam_from_marker
+        found.append(_InWorld(world, best, pose, len(group)))
+    return found
+
+
+def _sigma_m(visit: MarkerVisit) -> float:
+    """Standard deviation of the position relative to the keyframe, all axes together."""
+    return float(np.sqrt(max(np.trace(visit.covariance[3:6, 3:6]), 0.0)))

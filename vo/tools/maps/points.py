@@ -12,9 +12,9 @@ from vo.base.errors import OutputError
 from vo.base.geometry.transforms import transform_points
 from vo.base.types import Bytes, Floats
 from vo.engine.maps.map_file import MapFile
-from vo.engine.maps.markers import marker_corners
 from vo.engine.places.records import PATCH_PX
 from vo.recordings.formats.ply import write_ply
+from vo.tools.maps.contents import marker_corners
 
 
 class MapPoints(NamedTuple):

@@ -10,10 +10,11 @@ import numpy as np
 from vo.base.errors import ConfigError
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.markers.dictionaries import marker_count
-from vo.engine.markers.plane_pose import plane_pose, square_points
-from vo.engine.markers.records import DetectedMarker, PlanePose
+from vo.engine.markers.marker_problem import square_points
 from vo.tools.calibrating.board import Board, make_board
 from vo.tools.calibrating.detection import detect
+from vo.tools.markers.image_markers import DetectedMarker, PlanePose
+from vo.tools.markers.plane_pose import plane_pose
 
 _CHESS_SIGMA_PX = 0.05
 MAX_LENGTH_M = 5.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from vo.base.geometry.transforms import rotation_angle
 from vo.base.types import Floats
-from vo.engine.markers.records import FrameMarkers, Marker, PlanePose
+from vo.tools.markers.image_markers import FrameMarkers, Marker, PlanePose
 
 _MAX_GAP_NS = 500_000_000  # between two views of a marker that belong together
 _RATE_DEG_PER_S = 90.0  # standard deviation of the rotation of a marker relative to the camera

@@ -13,8 +13,8 @@ import numpy as np
 from vo.base.errors import ConfigError
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.markers.dictionaries import AUTO, CANDIDATES, dictionary, smallest_containing
-from vo.engine.markers.records import DetectedMarker
 from vo.tools.markers.edge_lines import refine_corners
+from vo.tools.markers.image_markers import DetectedMarker
 
 _SUBPIX_SIGMA_PX, _APRILTAG_SIGMA_PX, _RAW_SIGMA_PX = 0.15, 0.12, 0.6
 _MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show; of small ones, of which

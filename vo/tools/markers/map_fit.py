@@ -20,7 +20,7 @@ import numpy as np
 from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import make_transform, rotation_angle, skew, so3_exp, so3_log
 from vo.base.types import Bools, Floats
-from vo.engine.markers.plane_pose import square_points
+from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.marker_map import KnownMarker
 from vo.tools.markers.scale_fit import PlacedMarker
 

@@ -20,7 +20,7 @@ from vo.base.files.bounded_files import read_text
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
 from vo.base.types import Floats
 from vo.engine.markers.dictionaries import AUTO, dictionary_name, marker_count
-from vo.engine.markers.plane_pose import square_points
+from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.boards import check_length
 
 DEFAULT_SIGMA_M = 0.005

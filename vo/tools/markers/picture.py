@@ -10,7 +10,7 @@ import numpy as np
 from vo.base.errors import OutputError
 from vo.base.geometry.cameras import project
 from vo.base.types import Bytes, Camera, Floats
-from vo.engine.markers.records import FrameMarkers, PlanePose
+from vo.tools.markers.image_markers import FrameMarkers, PlanePose
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _BITS = 4  # of fractions of pixels

@@ -16,13 +16,13 @@ from vo.base.records.placed_frames import PlacedFrames
 from vo.base.records.seen_markers import MarkerOutline, MarkerSquare, SeenMarkers
 from vo.base.types import Camera, Estimate, Snapshot, View
 from vo.engine.markers.dictionaries import AUTO, dictionary_name, smallest_containing
-from vo.engine.markers.marker_problem import MarkerView
-from vo.engine.markers.plane_pose import plane_pose, square_points
-from vo.engine.markers.records import DetectedMarker
+from vo.engine.markers.marker_problem import MarkerView, square_points
 from vo.tools.markers.boards import check_length
 from vo.tools.markers.detection import DictionarySearch, MarkerDetector
+from vo.tools.markers.image_markers import DetectedMarker
 from vo.tools.markers.map_fit import fit_map
 from vo.tools.markers.marker_map import MarkerMap
+from vo.tools.markers.plane_pose import plane_pose
 from vo.tools.markers.scale_fit import ScaleFit, fit_scale
 from vo.tools.markers.world_frames import (
     FoundMarker,

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 
 from vo.base.types import Bytes, Camera, Frame
-from vo.engine.markers.plane_pose import plane_pose, square_points
-from vo.engine.markers.records import DetectedMarker, FrameMarkers, Marker, PlanePose
+from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.boards import MarkerBoard
 from vo.tools.markers.detection import MarkerDetector
+from vo.tools.markers.image_markers import DetectedMarker, FrameMarkers, Marker, PlanePose
+from vo.tools.markers.plane_pose import plane_pose
 
 _ENLARGED, _MAX_PIXELS = 4.0, 3e7
 

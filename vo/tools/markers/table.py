@@ -13,7 +13,7 @@ import numpy as np
 from vo.base.errors import OutputError
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
 from vo.base.types import Floats
-from vo.engine.markers.records import FrameMarkers, Marker, PlanePose
+from vo.tools.markers.image_markers import FrameMarkers, Marker, PlanePose
 
 _CORNERS = [f"{axis}{n}" for n in range(4) for axis in "uv"]
 COLUMNS = (

@@ -8,18 +8,12 @@ import numpy as np
 from vo.base.geometry.cameras import normalise
 from vo.base.geometry.transforms import se3_exp, so3_log
 from vo.base.types import Camera, Floats
-from vo.engine.markers.records import PlanePose
+from vo.tools.markers.image_markers import PlanePose
 
 _MAX_ITERATIONS = 20
 _CONVERGED = 1e-8  # squared length of a step, in standard deviations
 _SAME_POSE_RAD = 0.02  # below this angle the two solutions are one
 _ANY_PIXEL = 1e3  # in normalised coordinates: beyond every lens
-
-
-def square_points(length_m: float) -> Floats:
-    """(4, 3) corners of a marker in its frame, in the order of `DetectedMarker.corners`."""
-    signs = np.array([(-1, 1, 0), (1, 1, 0), (1, -1, 0), (-1, -1, 0)], dtype=np.float64)
-    return np.asarray(0.5 * length_m * signs)
 
 
 def plane_pose(camera: Camera, points: Floats, pixels: Floats, sigma_px: float) -> PlanePose | None:
