@@ -42,7 +42,7 @@ def test_messages_outside_the_command_line_have_no_flags() -> None:
     found = [
         f"{path.relative_to(ROOT)}: {text}"
         for path in sorted(ROOT.rglob("*.py"))
-        if path.parent.name != "cli"
+        if path.parent.name != "cli" and path.name != "printing.py"  # a command, on a board
         for text in _messages(path)
         if " " in text.strip()
         if any(not _COMMAND.search(text[: flag.start()]) for flag in _FLAG.finditer(text))
