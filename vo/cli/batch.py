@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.blocks import Only
+from vo.cli.blocks import Only, block, option
 from vo.cli.echo import echo
 from vo.cli.flags import known_flags
 
@@ -82,66 +81,40 @@ Report = Annotated[
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_ENGINE)
 class RunOn:
     """Where and how the recordings run."""
 
-    jobs: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Recordings at the same time on this machine.",
-            show_default="one for two cores",
-            rich_help_panel=_ENGINE,
-        ),
-    ] = None
-    ray: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Run on a Ray cluster: auto (that of this machine), HOST:PORT, or local.",
-            rich_help_panel=_ENGINE,
-        ),
-    ] = None
-    threads: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="With --ray: cores for each recording.",
-            rich_help_panel=_ENGINE,
-        ),
-    ] = 2
-    timeout: Annotated[
-        float | None,
-        typer.Option(
-            min=0.1,
-            metavar="SECONDS",
-            help="End a run that takes longer.",
-            show_default="never",
-            rich_help_panel=_ENGINE,
-        ),
-    ] = None
-    memory: Annotated[
-        int | None,
-        typer.Option(
-            min=256,
-            metavar="MB",
-            help="Address space of a run; one that needs more fails.",
-            show_default="no limit",
-            rich_help_panel=_ENGINE,
-        ),
-    ] = None
-    retries: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Further attempts after a crash or a timeout.",
-            rich_help_panel=_ENGINE,
-        ),
-    ] = 1
+    jobs: int | None = option(
+        "Recordings at the same time on this machine.",
+        default=None,
+        min=1,
+        metavar="N",
+        show_default="one for two cores",
+    )
+    ray: str | None = option(
+        "Run on a Ray cluster: auto (that of this machine), HOST:PORT, or local.",
+        default=None,
+        metavar="ADDRESS",
+    )
+    threads: int = option("With --ray: cores for each recording.", default=2, min=1, metavar="N")
+    timeout: float | None = option(
+        "End a run that takes longer.",
+        default=None,
+        min=0.1,
+        metavar="SECONDS",
+        show_default="never",
+    )
+    memory: int | None = option(
+        "Address space of a run; one that needs more fails.",
+        default=None,
+        min=256,
+        metavar="MB",
+        show_default="no limit",
+    )
+    retries: int = option(
+        "Further attempts after a crash or a timeout.", default=1, min=0, metavar="N"
+    )
 
 
 def batch_command(

@@ -1,4 +1,4 @@
-"""Commands whose parameters may be blocks of options: dataclasses of annotated fields.
+"""Commands whose parameters may be blocks of options.
 
 A block is declared once, and every command with such options has a parameter of its type. The
 command line sees the fields of a block in its place, so their order is that of `--help`.
@@ -7,12 +7,63 @@ command line sees the fields of a block in its place, so their order is that of 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache, update_wrapper
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    TypeVar,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import typer
 
 _EMPTY = inspect.Parameter.empty
+_T = TypeVar("_T")
+
+
+def option(
+    help: str,
+    *flags: str,
+    default: Any = MISSING,
+    default_factory: Any = MISSING,
+    panel: str | None = None,
+    **more: Any,
+) -> Any:
+    """A field of a block that is an option; flags and others as for `typer.Option`.
+
+    Without a heading of its own it is below that of its block in `--help`.
+    """
+    metadata = {"kind": typer.Option, "flags": flags, "panel": panel, "help": help, **more}
+    return _field(default, default_factory, metadata)
+
+
+def argument(
+    help: str, *, default: Any = MISSING, default_factory: Any = MISSING, **more: Any
+) -> Any:
+    """A field of a block that is an argument; others as for `typer.Argument`."""
+    return _field(default, default_factory, {"kind": typer.Argument, "help": help, **more})
+
+
+def _field(default: Any, factory: Any, metadata: dict[str, Any]) -> Any:
+    if factory is not MISSING:
+        return field(default_factory=factory, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(option, argument))
+def block(panel: str | None = None) -> Callable[[type[_T]], type[_T]]:
+    """A frozen dataclass of options, below this heading in `--help`."""
+
+    def made(given: type[_T]) -> type[_T]:
+        given.__panel__ = panel  # type: ignore[attr-defined]
+        return dataclass(frozen=True, kw_only=True)(given)
+
+    return made
 
 
 class Only:
@@ -62,10 +113,22 @@ def _block(hint: Any) -> tuple[Any, tuple[str, ...]]:
 def _fields(block: type) -> Mapping[str, tuple[Any, Any]]:
     """Hint and default of each field."""
     hints = get_type_hints(block, include_extras=True)
-    return {
-        field.name: (hints[field.name], _default(field.default, field.default_factory))
-        for field in fields(block)
-    }
+    found = {}
+    for each in fields(block):
+        hint = hints[each.name]
+        if each.metadata:
+            hint = Annotated[hint, _declared(block, **each.metadata)]
+        found[each.name] = hint, _default(each.default, each.default_factory)
+    return found
+
+
+def _declared(
+    block: Any, kind: Any, flags: Sequence[str] = (), panel: str | None = None, **more: Any
+) -> Any:
+    """What typer knows of an option or an argument."""
+    if kind is typer.Option:
+        more["rich_help_panel"] = panel or block.__panel__
+    return kind(*flags, **more)
 
 
 def _default(value: Any, factory: Any) -> Any:

@@ -2,115 +2,78 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from vo.cli import completion, options
-from vo.cli.blocks import Only
+from vo.cli.blocks import Only, argument, block, option
 
 _METHOD, _COMPARISON = "Method", "Comparison"
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_COMPARISON)
 class Request:
     """Arguments and options of the command."""
 
-    target: Annotated[
-        Path,
-        typer.Argument(metavar="TARGET", help="An image, or a recording in any format of vo run."),
-    ]
-    second: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SECOND",
-            help="A second image of the same plane, with --homography.",
-            show_default=False,
-        ),
-    ] = None
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Detector (docs/features.md).",
-            show_default="orb",
-            autocompletion=completion.detectors,
-            rich_help_panel=_METHOD,
-        ),
-    ] = None
-    descriptor: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Descriptor.",
-            show_default="the detector's own",
-            autocompletion=completion.descriptors,
-            rich_help_panel=_METHOD,
-        ),
-    ] = None
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="SECTION.KEY=VALUE",
-            help="A setting of features or matching, as for vo run; repeatable.",
-            rich_help_panel=_METHOD,
-        ),
-    ] = None
-    compare: Annotated[
-        str | None,
-        typer.Option(
-            metavar="METHODS",
-            help="Compare methods, such as orb,sift,fast+brisk,sift/flann,klt, or all: by the "
-            "ground truth of a recording, by --homography, or in one image.",
-            rich_help_panel=_COMPARISON,
-        ),
-    ] = None
-    gaps: Annotated[
-        str,
-        typer.Option(
-            metavar="N,N",
-            help="Frames between the images of a pair.",
-            rich_help_panel=_COMPARISON,
-        ),
-    ] = "1,5,15,30"
-    pairs: Annotated[
-        int,
-        typer.Option(
-            min=1, metavar="N", help="Number of pairs for each gap.", rich_help_panel=_COMPARISON
-        ),
-    ] = 8
-    homography: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="3 x 3 matrix that takes pixels of TARGET to those of SECOND, as text (HPatches).",
-            rich_help_panel=_COMPARISON,
-        ),
-    ] = None
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            "--frame",
-            min=0,
-            metavar="N",
-            help="Frame of the recording to show; its left image is used.",
-            show_default="0",
-            rich_help_panel=options.INPUT,
-        ),
-    ] = None
+    target: Path = argument("An image, or a recording in any format of vo run.", metavar="TARGET")
+    second: Path | None = argument(
+        "A second image of the same plane, with --homography.",
+        default=None,
+        metavar="SECOND",
+        show_default=False,
+    )
+    detector: str | None = option(
+        "Detector (docs/features.md).",
+        default=None,
+        metavar="NAME",
+        show_default="orb",
+        autocompletion=completion.detectors,
+        panel=_METHOD,
+    )
+    descriptor: str | None = option(
+        "Descriptor.",
+        default=None,
+        metavar="NAME",
+        show_default="the detector's own",
+        autocompletion=completion.descriptors,
+        panel=_METHOD,
+    )
+    settings: list[str] | None = option(
+        "A setting of features or matching, as for vo run; repeatable.",
+        "--set",
+        default=None,
+        metavar="SECTION.KEY=VALUE",
+        panel=_METHOD,
+    )
+    compare: str | None = option(
+        "Compare methods, such as orb,sift,fast+brisk,sift/flann,klt, or all: by the "
+        "ground truth of a recording, by --homography, or in one image.",
+        default=None,
+        metavar="METHODS",
+    )
+    gaps: str = option("Frames between the images of a pair.", default="1,5,15,30", metavar="N,N")
+    pairs: int = option("Number of pairs for each gap.", default=8, min=1, metavar="N")
+    homography: Path | None = option(
+        "3 x 3 matrix that takes pixels of TARGET to those of SECOND, as text (HPatches).",
+        default=None,
+        metavar="FILE",
+    )
+    frame: int | None = option(
+        "Frame of the recording to show; its left image is used.",
+        default=None,
+        min=0,
+        metavar="N",
+        show_default="0",
+        panel=options.INPUT,
+    )
     reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Draw the features of an image to this PNG file, or plot the comparison of a "
-            "recording (.png, .pdf, .svg).",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
+    picture: Path | None = option(
+        "Draw the features of an image to this PNG file, or plot the comparison of a "
+        "recording (.png, .pdf, .svg).",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
 
 
 def features_command(

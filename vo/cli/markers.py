@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.blocks import Only
+from vo.cli.blocks import Only, argument, block, option
 
 _MARKERS, _BOARD, _SHEET = "Markers", "Board", "Sheet to print"
 
@@ -31,125 +30,79 @@ class RefinementChoice(StrEnum):
     NONE = "none"
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_BOARD)
 class BoardOptions:
     """`--board` and its dimensions."""
 
-    board: Annotated[
-        BoardChoice | None,
-        typer.Option(
-            "--board",
-            help="The markers are a board: a grid of markers, or a ChArUco board.",
-            show_default="single markers",
-            rich_help_panel=_BOARD,
-        ),
-    ] = None
-    columns: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Markers in a row of a grid, or inner corners in a row.",
-            rich_help_panel=_BOARD,
-        ),
-    ] = 9
-    rows: Annotated[
-        int,
-        typer.Option(
-            metavar="N",
-            min=1,
-            help="Markers in a column of a grid, or inner corners in a column.",
-            rich_help_panel=_BOARD,
-        ),
-    ] = 6
-    gap: Annotated[
-        float,
-        typer.Option(
-            metavar="METRES", help="Space between markers of a grid.", rich_help_panel=_BOARD
-        ),
-    ] = 0.01
-    square: Annotated[
-        float,
-        typer.Option(
-            metavar="METRES", help="Side of a square of a ChArUco board.", rich_help_panel=_BOARD
-        ),
-    ] = 0.03
+    board: BoardChoice | None = option(
+        "The markers are a board: a grid of markers, or a ChArUco board.",
+        default=None,
+        show_default="single markers",
+    )
+    columns: int = option(
+        "Markers in a row of a grid, or inner corners in a row.", default=9, metavar="N", min=1
+    )
+    rows: int = option(
+        "Markers in a column of a grid, or inner corners in a column.",
+        default=6,
+        metavar="N",
+        min=1,
+    )
+    gap: float = option("Space between markers of a grid.", default=0.01, metavar="METRES")
+    square: float = option("Side of a square of a ChArUco board.", default=0.03, metavar="METRES")
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_MARKERS)
 class Request:
     """What to search, and where."""
 
-    source: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SOURCE",
-            help="An image, RECORDING:NUMBER for a frame, or a recording in any format of vo run.",
-            show_default=False,
-        ),
-    ] = None
-    length: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            help="Side of the black square, for poses.",
-            show_default="no poses",
-            rich_help_panel=_MARKERS,
-        ),
-    ] = None
-    dictionary: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help="Dictionary, such as tag36h11, 4X4_50 or DICT_6X6_250; auto: the one that the "
-            "images show.",
-            rich_help_panel=_MARKERS,
-        ),
-    ] = "auto"
-    refinement: Annotated[
-        RefinementChoice,
-        typer.Option(
-            "--refinement",
-            help="Corners by lines along the sides (most accurate), or by OpenCV's methods.",
-            rich_help_panel=_MARKERS,
-        ),
-    ] = RefinementChoice.LINES
+    source: str | None = argument(
+        "An image, RECORDING:NUMBER for a frame, or a recording in any format of vo run.",
+        default=None,
+        metavar="SOURCE",
+        show_default=False,
+    )
+    length: float | None = option(
+        "Side of the black square, for poses.",
+        default=None,
+        metavar="METRES",
+        show_default="no poses",
+    )
+    dictionary: str = option(
+        "Dictionary, such as tag36h11, 4X4_50 or DICT_6X6_250; auto: the one that the images show.",
+        default="auto",
+        metavar="NAME",
+    )
+    refinement: RefinementChoice = option(
+        "Corners by lines along the sides (most accurate), or by OpenCV's methods.",
+        default=RefinementChoice.LINES,
+    )
     board: BoardOptions
     reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
     frames: options.Frames
-    sheet: Annotated[
-        Path | None,
-        typer.Option(
-            "--print",
-            metavar="FILE",
-            help="Write markers to print in true size: .pdf, .png or .svg.",
-            rich_help_panel=_SHEET,
-        ),
-    ] = None
-    ids: Annotated[
-        str,
-        typer.Option(
-            metavar="IDS", help="Markers of the sheet, such as 0-3,7.", rich_help_panel=_SHEET
-        ),
-    ] = "0"
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Draw outlines, ids and axes to this .png or .jpg file; of a recording, of the "
-            "frame with most markers.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv",
-            metavar="FILE",
-            help="Also write a row for each marker in each frame.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
+    sheet: Path | None = option(
+        "Write markers to print in true size: .pdf, .png or .svg.",
+        "--print",
+        default=None,
+        metavar="FILE",
+        panel=_SHEET,
+    )
+    ids: str = option(
+        "Markers of the sheet, such as 0-3,7.", default="0", metavar="IDS", panel=_SHEET
+    )
+    picture: Path | None = option(
+        "Draw outlines, ids and axes to this .png or .jpg file; of a recording, of the "
+        "frame with most markers.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
+    csv: Path | None = option(
+        "Also write a row for each marker in each frame.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
 
     @property
     def target(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +9,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import completion, options
+from vo.cli.blocks import block, option
 
 _FEATURES, _GEOMETRY = "Features and matching", "Geometry"
 
@@ -85,98 +85,66 @@ Epipolar = Annotated[
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_FEATURES)
 class PairChoice:
     """Features, matching and geometry."""
 
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="What finds features: orb, sift, fast, shi_tomasi, akaze, ... (docs/features.md).",
-            show_default="orb",
-            autocompletion=completion.detectors,
-            rich_help_panel=_FEATURES,
-        ),
-    ] = None
-    descriptor: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="What describes them: rbrief, sift, rootsift, ...",
-            show_default="the detector's own",
-            autocompletion=completion.descriptors,
-            rich_help_panel=_FEATURES,
-        ),
-    ] = None
-    matcher: Annotated[
-        Matcher | None,
-        typer.Option(
-            "--matcher",
-            help="Exact search with or without a ratio test (brute_force, mnn), approximate search "
-            "(flann, ann), exact search and the support of neighbours instead of a ratio test "
-            "(gms), or a learned network.",
-            show_default="brute_force, for learned features mnn",
-            rich_help_panel=_FEATURES,
-        ),
-    ] = None
-    ratio: Annotated[
-        float | None,
-        typer.Option(
-            metavar="RATIO",
-            help="Maximum ratio of the best to the second-best distance.",
-            show_default="0.85",
-            rich_help_panel=_FEATURES,
-        ),
-    ] = None
-    cross_check: Annotated[
-        bool,
-        typer.Option(
-            "--cross-check/--no-cross-check",
-            help="Keep only matches that are the best in both directions.",
-            rich_help_panel=_FEATURES,
-        ),
-    ] = True
-    config: Annotated[
-        str,
-        typer.Option(
-            "--config",
-            metavar="PRESET|FILE",
-            help="Settings: a preset or a YAML file.",
-            autocompletion=completion.presets,
-            rich_help_panel=_FEATURES,
-        ),
-    ] = "default"
-    set_values: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Override a setting, such as features.count=3000; repeatable.",
-            rich_help_panel=_FEATURES,
-        ),
-    ] = None
-    model: Annotated[
-        Model,
-        typer.Option(
-            "--model",
-            help="Fundamental or essential matrix (needs a calibration), homography, or the one "
-            "that explains the matches best.",
-            rich_help_panel=_GEOMETRY,
-        ),
-    ] = Model.AUTO
-    method: Annotated[
-        Method,
-        typer.Option(
-            "--method", help="How it is found among wrong matches.", rich_help_panel=_GEOMETRY
-        ),
-    ] = Method.USAC_ACCURATE
-    threshold: Annotated[
-        float,
-        typer.Option(
-            metavar="PX", help="Maximum Sampson distance of an inlier.", rich_help_panel=_GEOMETRY
-        ),
-    ] = 1.5
+    detector: str | None = option(
+        "What finds features: orb, sift, fast, shi_tomasi, akaze, ... (docs/features.md).",
+        default=None,
+        metavar="NAME",
+        show_default="orb",
+        autocompletion=completion.detectors,
+    )
+    descriptor: str | None = option(
+        "What describes them: rbrief, sift, rootsift, ...",
+        default=None,
+        metavar="NAME",
+        show_default="the detector's own",
+        autocompletion=completion.descriptors,
+    )
+    matcher: Matcher | None = option(
+        "Exact search with or without a ratio test (brute_force, mnn), approximate search "
+        "(flann, ann), exact search and the support of neighbours instead of a ratio test "
+        "(gms), or a learned network.",
+        default=None,
+        show_default="brute_force, for learned features mnn",
+    )
+    ratio: float | None = option(
+        "Maximum ratio of the best to the second-best distance.",
+        default=None,
+        metavar="RATIO",
+        show_default="0.85",
+    )
+    cross_check: bool = option(
+        "Keep only matches that are the best in both directions.",
+        "--cross-check/--no-cross-check",
+        default=True,
+    )
+    config: str = option(
+        "Settings: a preset or a YAML file.",
+        default="default",
+        metavar="PRESET|FILE",
+        autocompletion=completion.presets,
+    )
+    set_values: list[str] | None = option(
+        "Override a setting, such as features.count=3000; repeatable.",
+        "--set",
+        default=None,
+        metavar="KEY=VALUE",
+    )
+    model: Model = option(
+        "Fundamental or essential matrix (needs a calibration), homography, or the one "
+        "that explains the matches best.",
+        default=Model.AUTO,
+        panel=_GEOMETRY,
+    )
+    method: Method = option(
+        "How it is found among wrong matches.", default=Method.USAC_ACCURATE, panel=_GEOMETRY
+    )
+    threshold: float = option(
+        "Maximum Sampson distance of an inlier.", default=1.5, metavar="PX", panel=_GEOMETRY
+    )
 
 
 def match_command(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vo.cli import completion
+from vo.cli.blocks import block, option
 from vo.cli.echo import echo_json
 
 if TYPE_CHECKING:
@@ -62,48 +62,6 @@ Calibration = Annotated[
     ),
 ]
 
-Mode = Annotated[
-    ModeChoice,
-    typer.Option(
-        help="mono: only the left camera; stereo: require both; auto: both if available.",
-        rich_help_panel=INPUT,
-    ),
-]
-
-Topics = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="TOPIC",
-        help="Image topic of a log: left=/cam0/image and right=/cam1/image, or a single name; "
-        "repeatable.",
-        show_default="detected from the names",
-        autocompletion=completion.image_topics,
-        rich_help_panel=INPUT,
-    ),
-]
-
-Format = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FORMAT",
-        help="Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, 4seasons, euroc, "
-        "tum, nerf, video, glob or folder.",
-        show_default="detected from the files",
-        autocompletion=completion.input_formats,
-        rich_help_panel=INPUT,
-    ),
-]
-
-RightOffset = Annotated[
-    float | None,
-    typer.Option(
-        metavar="MS",
-        help="Milliseconds to add to the stamps of right images before they are paired; negative "
-        "if they are stamped too late.",
-        show_default="0, or the constant offset of all right stamps",
-        rich_help_panel=INPUT,
-    ),
-]
 
 OutputFormat = Annotated[
     str | None,
@@ -117,46 +75,7 @@ OutputFormat = Annotated[
     ),
 ]
 
-SideBySide = Annotated[
-    bool,
-    typer.Option(
-        "--side-by-side",
-        help="Each image has the left and the right one beside each other (video, folder of "
-        "images, live camera).",
-        rich_help_panel=INPUT,
-    ),
-]
 
-Masks = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--mask",
-        metavar="FILE",
-        help="Image of the size of the recorded (not rectified) images: where it is black (0) "
-        "they are not used, elsewhere they are. Stereo: --mask left.png --mask right.png.",
-        rich_help_panel=INPUT,
-    ),
-]
-Ignored = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--ignore",
-        metavar="AREA",
-        help="Do not use this area, such as the robot's own body or burnt-in text: x,y,width,"
-        "height or a polygon x1,y1,x2,y2,x3,y3,…, in pixels of the recorded left image; right: or "
-        "both: before it for others. Repeatable.",
-        rich_help_panel=INPUT,
-    ),
-]
-Regions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--roi",
-        metavar="AREA",
-        help="Use only this area (region of interest); as --ignore.",
-        rich_help_panel=INPUT,
-    ),
-]
 Config = Annotated[
     str,
     typer.Option(
@@ -175,65 +94,46 @@ Overrides = Annotated[
         rich_help_panel=ODOMETRY,
     ),
 ]
-Start = Annotated[
-    int,
-    typer.Option(min=0, metavar="N", help="First frame, counted from 0.", rich_help_panel=INPUT),
-]
-
-End = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="Stop before this frame.",
-        show_default="end of the recording",
-        rich_help_panel=INPUT,
-    ),
-]
-
-Stride = Annotated[
-    int,
-    typer.Option(min=1, metavar="N", help="Use every N-th frame.", rich_help_panel=INPUT),
-]
-
-Json = Annotated[
-    bool,
-    typer.Option(
-        "--json", help="Print JSON on standard output instead of text.", rich_help_panel=OUTPUT
-    ),
-]
-
-Quiet = Annotated[
-    bool,
-    typer.Option(
-        "--quiet",
-        "-q",
-        help="Print only warnings and errors, on standard error.",
-        rich_help_panel=OUTPUT,
-    ),
-]
-
-Verbose = Annotated[
-    bool,
-    typer.Option(
-        "--verbose",
-        "-v",
-        help="Also print what is read and decided, on standard error.",
-        rich_help_panel=OUTPUT,
-    ),
-]
 
 
-@dataclass(frozen=True)
+@block(INPUT)
 class Reading:
     """How a recording is opened."""
 
     calibration: Calibration = None
-    mode: Mode = ModeChoice.AUTO
-    topic: Topics = None
-    right_offset: RightOffset = None
-    format: Format = None
-    side_by_side: SideBySide = False
+    mode: ModeChoice = option(
+        "mono: only the left camera; stereo: require both; auto: both if available.",
+        default=ModeChoice.AUTO,
+    )
+    topic: list[str] | None = option(
+        "Image topic of a log: left=/cam0/image and right=/cam1/image, or a single name; "
+        "repeatable.",
+        default=None,
+        metavar="TOPIC",
+        show_default="detected from the names",
+        autocompletion=completion.image_topics,
+    )
+    right_offset: float | None = option(
+        "Milliseconds to add to the stamps of right images before they are paired; negative "
+        "if they are stamped too late.",
+        default=None,
+        metavar="MS",
+        show_default="0, or the constant offset of all right stamps",
+    )
+    format: str | None = option(
+        "Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, 4seasons, euroc, "
+        "tum, nerf, video, glob or folder.",
+        default=None,
+        metavar="FORMAT",
+        show_default="detected from the files",
+        autocompletion=completion.input_formats,
+    )
+    side_by_side: bool = option(
+        "Each image has the left and the right one beside each other (video, folder of "
+        "images, live camera).",
+        "--side-by-side",
+        default=False,
+    )
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -252,22 +152,41 @@ class Reading:
         return {"mode": self.mode.value} | {name: getattr(self, name) for name in names}
 
 
-@dataclass(frozen=True)
+@block(INPUT)
 class Frames:
     """The frames to use."""
 
-    start: Start = 0
-    end: End = None
-    stride: Stride = 1
+    start: int = option("First frame, counted from 0.", default=0, min=0, metavar="N")
+    end: int | None = option(
+        "Stop before this frame.",
+        default=None,
+        min=0,
+        metavar="N",
+        show_default="end of the recording",
+    )
+    stride: int = option("Use every N-th frame.", default=1, min=1, metavar="N")
 
 
-@dataclass(frozen=True)
+@block(INPUT)
 class MaskOptions:
     """Areas of the images that are not used."""
 
-    mask: Masks = None
-    ignore: Ignored = None
-    roi: Regions = None
+    mask: list[str] | None = option(
+        "Image of the size of the recorded (not rectified) images: where it is black (0) "
+        "they are not used, elsewhere they are. Stereo: --mask left.png --mask right.png.",
+        default=None,
+        metavar="FILE",
+    )
+    ignore: list[str] | None = option(
+        "Do not use this area, such as the robot's own body or burnt-in text: x,y,width,"
+        "height or a polygon x1,y1,x2,y2,x3,y3,…, in pixels of the recorded left image; right: or "
+        "both: before it for others. Repeatable.",
+        default=None,
+        metavar="AREA",
+    )
+    roi: list[str] | None = option(
+        "Use only this area (region of interest); as --ignore.", default=None, metavar="AREA"
+    )
 
     @property
     def settings(self) -> list[str]:
@@ -276,13 +195,19 @@ class MaskOptions:
         return [f"masks.{key}={json.dumps(texts)}" for key, texts in given.items() if texts]
 
 
-@dataclass(frozen=True)
+@block(OUTPUT)
 class Printing:
     """What a command prints of its result and its progress."""
 
-    json_output: Json = False
-    quiet: Quiet = False
-    verbose: Verbose = False
+    json_output: bool = option(
+        "Print JSON on standard output instead of text.", "--json", default=False
+    )
+    quiet: bool = option(
+        "Print only warnings and errors, on standard error.", "--quiet", "-q", default=False
+    )
+    verbose: bool = option(
+        "Also print what is read and decided, on standard error.", "--verbose", "-v", default=False
+    )
 
     def show(self, record: Callable[[], Any], text: Callable[[], None]) -> None:
         """Print a result: its record with --json, nothing with --quiet, else its text."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 import typer
 
 from vo.cli import completion, options
-from vo.cli.blocks import Only
+from vo.cli.blocks import Only, argument, block, option
 
 _OBJECT = "Objects"
 
@@ -24,80 +23,57 @@ class RecognizeAction(StrEnum):
     FIND = "find"
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_OBJECT)
 class Request:
     """Arguments and options of the command."""
 
-    action: Annotated[
-        RecognizeAction,
-        typer.Argument(
-            metavar="ACTION",
-            help="add NAME IMAGE…: store an object; list: what is stored; remove NAME: forget an "
-            "object; find IMAGE or find RECORDING: search for all objects.",
-        ),
-    ]
-    words: Annotated[
-        list[str],
-        typer.Argument(metavar="WORD", help="Name and images, name, or image or recording."),
-    ] = field(default_factory=list)
-    database: Annotated[
-        Path,
-        typer.Option(
-            "--database",
-            "-d",
-            metavar="FILE",
-            help="Database of objects; the first add makes it.",
-            rich_help_panel=_OBJECT,
-        ),
-    ] = Path("objects.vodb")
-    width: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M",
-            help="Width in metres of what the first image shows, for poses (add).",
-            rich_help_panel=_OBJECT,
-        ),
-    ] = None
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="What finds features, for a new database: sift, orb, akaze, aliked, … (add).",
-            show_default="sift",
-            autocompletion=completion.detectors,
-            rich_help_panel=_OBJECT,
-        ),
-    ] = None
-    min_confidence: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            max=1.0,
-            metavar="P",
-            help="Report objects from this probability on (find).",
-            rich_help_panel=_OBJECT,
-        ),
-    ] = 0.9
+    action: RecognizeAction = argument(
+        "add NAME IMAGE…: store an object; list: what is stored; remove NAME: forget an "
+        "object; find IMAGE or find RECORDING: search for all objects.",
+        metavar="ACTION",
+    )
+    words: list[str] = argument(
+        "Name and images, name, or image or recording.", default_factory=list, metavar="WORD"
+    )
+    database: Path = option(
+        "Database of objects; the first add makes it.",
+        "--database",
+        "-d",
+        default=Path("objects.vodb"),
+        metavar="FILE",
+    )
+    width: float | None = option(
+        "Width in metres of what the first image shows, for poses (add).", default=None, metavar="M"
+    )
+    detector: str | None = option(
+        "What finds features, for a new database: sift, orb, akaze, aliked, … (add).",
+        default=None,
+        metavar="NAME",
+        show_default="sift",
+        autocompletion=completion.detectors,
+    )
+    min_confidence: float = option(
+        "Report objects from this probability on (find).",
+        default=0.9,
+        min=0.0,
+        max=1.0,
+        metavar="P",
+    )
     reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
     frames: options.Frames
-    picture: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Draw outlines and names to this .png or .jpg file (find): of a recording, the "
-            "frame with most objects.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
-    csv: Annotated[
-        Path | None,
-        typer.Option(
-            "--csv",
-            metavar="FILE",
-            help="Write a line for each object of each frame (find).",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
+    picture: Path | None = option(
+        "Draw outlines and names to this .png or .jpg file (find): of a recording, the "
+        "frame with most objects.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
+    csv: Path | None = option(
+        "Write a line for each object of each frame (find).",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
     printing: options.Printing
 
 

@@ -2,40 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
+from vo.cli.blocks import argument, block, option
 from vo.cli.options import OUTPUT, Frames, MaskOptions, Printing, Reading
 from vo.cli.run_options import Live, Outputs, Scale, Settings, Viewer
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(OUTPUT)
 class RunRequest:
     """All arguments and options of `vo run`."""
 
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="RECORDING",
-            help="MCAP file (- for standard input), ROS bag, video, folder of KITTI, KITTI raw, "
-            "EuRoC or TUM RGB-D, folder of images (or of left/ and right/), or a quoted glob "
-            "pattern. Live: camera:0, camera:0,1 (stereo), /dev/video0, rtsp://HOST/PATH, "
-            "http://HOST/PATH, realsense:, oak: or zed:.",
-        ),
-    ]
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FOLDER",
-            help="Folder for the results; created if missing.",
-            rich_help_panel=OUTPUT,
-        ),
-    ]
+    source: str = argument(
+        "MCAP file (- for standard input), ROS bag, video, folder of KITTI, KITTI raw, "
+        "EuRoC or TUM RGB-D, folder of images (or of left/ and right/), or a quoted glob "
+        "pattern. Live: camera:0, camera:0,1 (stereo), /dev/video0, rtsp://HOST/PATH, "
+        "http://HOST/PATH, realsense:, oak: or zed:.",
+        metavar="RECORDING",
+    )
+    output: Path = option(
+        "Folder for the results; created if missing.", "--output", "-o", metavar="FOLDER"
+    )
     reading: Reading
     live: Live
     frames: Frames

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from vo.cli import options
 from vo.cli.batch import Dataset, Manifest, RunOn, Sources, make_engine
-from vo.cli.blocks import Only
+from vo.cli.blocks import Only, block, option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,53 +31,39 @@ Output = Annotated[
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_SEARCH)
 class Search:
     """What is tried."""
 
-    tried: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--try",
-            metavar="KEY=VALUES",
-            help="Values of a setting, 500,1000,2000, or a range, 0.5..2; may be repeated.",
-            show_default=False,
-            rich_help_panel=_SEARCH,
-        ),
-    ] = None
-    trials: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            metavar="N",
-            help="Number of trials, chosen by Optuna (extra `sweep`).",
-            show_default="all combinations of the values",
-            rich_help_panel=_SEARCH,
-        ),
-    ] = None
-    held_out: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            max=0.9,
-            metavar="RATIO",
-            help="Ratio of the recordings that no trial runs on, but the best settings at the end.",
-            rich_help_panel=_SEARCH,
-        ),
-    ] = 0.3
-    max_cpu: Annotated[
-        float | None,
-        typer.Option(
-            min=0.1,
-            metavar="RATIO",
-            help="Greatest CPU time, relative to the unchanged settings.",
-            show_default="no limit",
-            rich_help_panel=_SEARCH,
-        ),
-    ] = None
-    seed: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Of all choices.", rich_help_panel=_SEARCH)
-    ] = 0
+    tried: list[str] | None = option(
+        "Values of a setting, 500,1000,2000, or a range, 0.5..2; may be repeated.",
+        "--try",
+        default=None,
+        metavar="KEY=VALUES",
+        show_default=False,
+    )
+    trials: int | None = option(
+        "Number of trials, chosen by Optuna (extra `sweep`).",
+        default=None,
+        min=1,
+        metavar="N",
+        show_default="all combinations of the values",
+    )
+    held_out: float = option(
+        "Ratio of the recordings that no trial runs on, but the best settings at the end.",
+        default=0.3,
+        min=0.0,
+        max=0.9,
+        metavar="RATIO",
+    )
+    max_cpu: float | None = option(
+        "Greatest CPU time, relative to the unchanged settings.",
+        default=None,
+        min=0.1,
+        metavar="RATIO",
+        show_default="no limit",
+    )
+    seed: int = option("Of all choices.", default=0, min=0, metavar="N")
 
 
 def sweep_command(

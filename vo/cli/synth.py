@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +9,7 @@ import typer
 
 from vo.base.printable import counted
 from vo.cli import completion, options
+from vo.cli.blocks import block, option
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
@@ -31,117 +31,71 @@ Output = Annotated[
 List = Annotated[bool, typer.Option("--list", help="List presets, cameras and settings, and exit.")]
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(_SCENE)
 class Scene:
     """Scene, motion and cameras."""
 
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PRESET|FILE",
-            help="Settings to start from: a preset (see --list) or a YAML file.",
-            autocompletion=completion.recipes,
-            rich_help_panel=_SCENE,
-        ),
-    ] = None
-    world: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WORLD",
-            help="room, corridor, street, warehouse or terrain.",
-            rich_help_panel=_SCENE,
-        ),
-    ] = None
-    motion: Annotated[
-        str | None,
-        typer.Option(
-            metavar="MOTION",
-            help="car, robot, handheld, drone, rotate, stop_and_go or loop.",
-            rich_help_panel=_SCENE,
-        ),
-    ] = None
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Name of a camera (see --list), or a calibration file.",
-            autocompletion=completion.cameras,
-            rich_help_panel=_CAMERA,
-        ),
-    ] = None
-    mono: Annotated[
-        bool | None,
-        typer.Option("--mono/--stereo", help="One camera, or two.", rich_help_panel=_CAMERA),
-    ] = None
-    effects: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME=STRENGTH,…",
-            help="Image effects: 0 for none, 1 for the usual strength. `none`, alone or first in "
-            "the list, turns all others off.",
-            rich_help_panel=_CAMERA,
-        ),
-    ] = None
-    seconds: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Duration.", rich_help_panel=_SCENE),
-    ] = None
-    fps: Annotated[
-        float | None,
-        typer.Option(metavar="RATE", help="Frames per second.", rich_help_panel=_CAMERA),
-    ] = None
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Random seed; equal seeds give equal files.", rich_help_panel=_SCENE
-        ),
-    ] = None
+    preset: str | None = option(
+        "Settings to start from: a preset (see --list) or a YAML file.",
+        default=None,
+        metavar="PRESET|FILE",
+        autocompletion=completion.recipes,
+    )
+    world: str | None = option(
+        "room, corridor, street, warehouse or terrain.", default=None, metavar="WORLD"
+    )
+    motion: str | None = option(
+        "car, robot, handheld, drone, rotate, stop_and_go or loop.", default=None, metavar="MOTION"
+    )
+    camera: str | None = option(
+        "Name of a camera (see --list), or a calibration file.",
+        default=None,
+        metavar="NAME|FILE",
+        autocompletion=completion.cameras,
+        panel=_CAMERA,
+    )
+    mono: bool | None = option(
+        "One camera, or two.", "--mono/--stereo", default=None, panel=_CAMERA
+    )
+    effects: str | None = option(
+        "Image effects: 0 for none, 1 for the usual strength. `none`, alone or first in "
+        "the list, turns all others off.",
+        default=None,
+        metavar="NAME=STRENGTH,…",
+        panel=_CAMERA,
+    )
+    seconds: float | None = option("Duration.", default=None, metavar="SECONDS")
+    fps: float | None = option("Frames per second.", default=None, metavar="RATE", panel=_CAMERA)
+    seed: int | None = option(
+        "Random seed; equal seeds give equal files.", default=None, metavar="N"
+    )
 
 
-@dataclass(frozen=True, kw_only=True)
+@block(options.OUTPUT)
 class Files:
     """What is written."""
 
-    to: Annotated[
-        str | None,
-        typer.Option(
-            "--to",
-            metavar="FORMAT",
-            help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
-            autocompletion=completion.output_formats,
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
-    codec: Annotated[
-        str | None,
-        typer.Option(
-            metavar="CODEC",
-            help="Image codec: png, jpeg (lossy), or raw in MCAP.",
-            autocompletion=completion.codecs,
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
-    depth: Annotated[
-        bool | None,
-        typer.Option(
-            "--depth/--no-depth",
-            help="Write true depth images too.",
-            rich_help_panel=options.OUTPUT,
-        ),
-    ] = None
-    overrides: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Override any setting (see --list); repeatable.",
-            rich_help_panel=_SCENE,
-        ),
-    ] = None
-    force: Annotated[
-        bool,
-        typer.Option("--force", help="Replace existing files.", rich_help_panel=options.OUTPUT),
-    ] = False
+    to: str | None = option(
+        "Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+        default=None,
+        metavar="FORMAT",
+        autocompletion=completion.output_formats,
+    )
+    codec: str | None = option(
+        "Image codec: png, jpeg (lossy), or raw in MCAP.",
+        default=None,
+        metavar="CODEC",
+        autocompletion=completion.codecs,
+    )
+    depth: bool | None = option("Write true depth images too.", "--depth/--no-depth", default=None)
+    overrides: list[str] | None = option(
+        "Override any setting (see --list); repeatable.",
+        "--set",
+        default=None,
+        metavar="KEY=VALUE",
+        panel=_SCENE,
+    )
+    force: bool = option("Replace existing files.", "--force", default=False)
 
 
 def synth_command(
