@@ -28,16 +28,6 @@ Sources = Annotated[
         show_default=False,
     ),
 ]
-Output = Annotated[
-    Path,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FOLDER",
-        help="Folder for the results, one folder inside for each recording.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
 Manifest = Annotated[
     Path | None,
     typer.Option(
@@ -67,16 +57,6 @@ Dataset = Annotated[
         "truth, and the table that papers print.",
         show_default=False,
         rich_help_panel=options.INPUT,
-    ),
-]
-
-
-Report = Annotated[
-    bool,
-    typer.Option(
-        "--report",
-        help="Write a report.html for each recording too, linked from index.html.",
-        rich_help_panel=options.OUTPUT,
     ),
 ]
 
@@ -120,14 +100,26 @@ class RunOn:
 def batch_command(
     *,
     sources: Sources = None,
-    output: Output = Path("batch"),
+    output: Path = option(
+        "Folder for the results, one folder inside for each recording.",
+        "--output",
+        "-o",
+        default=Path("batch"),
+        metavar="FOLDER",
+        panel=options.OUTPUT,
+    ),
     manifest: Manifest = None,
     dataset: Dataset = None,
     reading: Annotated[options.Reading, Only("calibration", "mode", "format")],
     config: options.Config = "default",
     overrides: options.Overrides = None,
     runs: RunOn,
-    report: Report = False,
+    report: bool = option(
+        "Write a report.html for each recording too, linked from index.html.",
+        "--report",
+        default=False,
+        panel=options.OUTPUT,
+    ),
     printing: options.Printing,
 ) -> None:
     """Run the odometry on many recordings, and tabulate the results.

@@ -7,8 +7,8 @@ command line sees the fields of a block in its place, so their order is that of 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache, update_wrapper
 from typing import (
     Annotated,
@@ -34,7 +34,7 @@ def option(
     panel: str | None = None,
     **more: Any,
 ) -> Any:
-    """A field of a block that is an option; flags and others as for `typer.Option`.
+    """A field of a block, or a parameter, that is an option; others as for `typer.Option`.
 
     Without a heading of its own it is below that of its block in `--help`.
     """
@@ -45,7 +45,7 @@ def option(
 def argument(
     help: str, *, default: Any = MISSING, default_factory: Any = MISSING, **more: Any
 ) -> Any:
-    """A field of a block that is an argument; others as for `typer.Argument`."""
+    """A field of a block, or a parameter, that is an argument; others as for `typer.Argument`."""
     return _field(default, default_factory, {"kind": typer.Argument, "help": help, **more})
 
 
@@ -113,22 +113,18 @@ def _block(hint: Any) -> tuple[Any, tuple[str, ...]]:
 def _fields(block: type) -> Mapping[str, tuple[Any, Any]]:
     """Hint and default of each field."""
     hints = get_type_hints(block, include_extras=True)
-    found = {}
-    for each in fields(block):
-        hint = hints[each.name]
-        if each.metadata:
-            hint = Annotated[hint, _declared(block, **each.metadata)]
-        found[each.name] = hint, _default(each.default, each.default_factory)
-    return found
+    return {each.name: _declared(block, hints[each.name], each) for each in fields(block)}
 
 
-def _declared(
-    block: Any, kind: Any, flags: Sequence[str] = (), panel: str | None = None, **more: Any
-) -> Any:
-    """What typer knows of an option or an argument."""
-    if kind is typer.Option:
-        more["rich_help_panel"] = panel or block.__panel__
-    return kind(*flags, **more)
+def _declared(block: Any, hint: Any, given: Field[Any]) -> tuple[Any, Any]:
+    """The hint of an option or argument with what typer reads of it, and its default."""
+    more = dict(given.metadata)
+    if more:
+        kind, flags = more.pop("kind"), more.pop("flags", ())
+        if kind is typer.Option:
+            more["rich_help_panel"] = more.pop("panel") or getattr(block, "__panel__", None)
+        hint = Annotated[hint, kind(*flags, **more)]
+    return hint, _default(given.default, given.default_factory)
 
 
 def _default(value: Any, factory: Any) -> Any:
@@ -139,6 +135,8 @@ def _default(value: Any, factory: Any) -> Any:
 
 def _parameters(name: str, hint: Any, default: Any) -> Iterator[inspect.Parameter]:
     block, names = _block(hint)
+    if isinstance(default, Field):
+        hint, default = _declared(None, hint, default)
     if block is None:
         kind = inspect.Parameter.KEYWORD_ONLY
         yield inspect.Parameter(name, kind, default=default, annotation=hint)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,39 +18,26 @@ if TYPE_CHECKING:
 _WORSE = 4  # exit status
 _MAX_ROWS = 40
 
-Before = Annotated[
-    Path, typer.Argument(metavar="BEFORE", help="Output of the first batch.", show_default=False)
-]
-After = Annotated[
-    Path, typer.Argument(metavar="AFTER", help="Output of the second batch.", show_default=False)
-]
-Output = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Write an HTML page too.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-FailIfWorse = Annotated[
-    str | None,
-    typer.Option(
-        metavar="PERCENT",
-        help="Exit with 4 if a metric is certainly worse, and by more than this, or if a "
-        "recording is no longer finished; such as 5%.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-
 
 def compare_command(
-    before: Before,
-    after: After,
+    before: Path = argument("Output of the first batch.", metavar="BEFORE", show_default=False),
+    after: Path = argument("Output of the second batch.", metavar="AFTER", show_default=False),
     *,
-    output: Output = None,
-    fail_if_worse: FailIfWorse = None,
+    output: Path | None = option(
+        "Write an HTML page too.",
+        "--output",
+        "-o",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    ),
+    fail_if_worse: str | None = option(
+        "Exit with 4 if a metric is certainly worse, and by more than this, or if a "
+        "recording is no longer finished; such as 5%.",
+        default=None,
+        metavar="PERCENT",
+        panel=options.OUTPUT,
+    ),
     printing: options.Printing,
 ) -> None:
     """Compare two batches: of two versions, or of two settings.

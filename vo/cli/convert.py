@@ -7,11 +7,9 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from vo.base.printable import counted
 from vo.cli import completion, options
-from vo.cli.blocks import Only
+from vo.cli.blocks import Only, argument, option
 from vo.cli.echo import echo
 from vo.cli.stopping import interrupts_named
 
@@ -23,53 +21,44 @@ if TYPE_CHECKING:
     from vo.tools.inspection.opening import OpenedRecording
 
 
-Output = Annotated[
-    Path, typer.Argument(metavar="OUTPUT", help="Folder to create, or a file ending in .mcap.")
-]
-Codec = Annotated[
-    str,
-    typer.Option(
-        metavar="CODEC",
-        help="Image codec: png, jpeg (lossy), or raw in MCAP.",
-        autocompletion=completion.codecs,
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Resize = Annotated[
-    str | None,
-    typer.Option(
-        metavar="WxH|FACTOR",
-        help="Scale images and calibration, for example to 640x400 or by 0.5.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Gray = Annotated[
-    bool,
-    typer.Option(
-        "--gray",
-        help="Write 8-bit grey images, as used by the odometry.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Replace an existing file.", rich_help_panel=options.OUTPUT),
-]
-
-
 def convert_command(
     source: options.Recording,
-    output: Output,
+    output: Path = argument("Folder to create, or a file ending in .mcap.", metavar="OUTPUT"),
     *,
-    to: options.OutputFormat = None,
-    codec: Codec = "png",
+    to: str | None = option(
+        "Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
+        default=None,
+        metavar="FORMAT",
+        show_default="mcap for .mcap, else euroc",
+        autocompletion=completion.output_formats,
+        panel=options.OUTPUT,
+    ),
+    codec: str = option(
+        "Image codec: png, jpeg (lossy), or raw in MCAP.",
+        default="png",
+        metavar="CODEC",
+        autocompletion=completion.codecs,
+        panel=options.OUTPUT,
+    ),
     frames: options.Frames,
-    resize: Resize = None,
-    gray: Gray = False,
+    resize: str | None = option(
+        "Scale images and calibration, for example to 640x400 or by 0.5.",
+        default=None,
+        metavar="WxH|FACTOR",
+        panel=options.OUTPUT,
+    ),
+    gray: bool = option(
+        "Write 8-bit grey images, as used by the odometry.",
+        "--gray",
+        default=False,
+        panel=options.OUTPUT,
+    ),
     reading: Annotated[
         options.Reading, Only("mode", "calibration", "format", "topic", "right_offset")
     ],
-    force: Force = False,
+    force: bool = option(
+        "Replace an existing file.", "--force", default=False, panel=options.OUTPUT
+    ),
     printing: options.Printing,
 ) -> None:
     """Convert a recording to another format, size or length.

@@ -7,13 +7,12 @@ import shlex
 import shutil
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from vo.base.errors import MissingExtraError
 from vo.base.printable import counted
 from vo.cli import options
+from vo.cli.blocks import option
 from vo.cli.echo import echo_json
 
 if TYPE_CHECKING:
@@ -26,15 +25,13 @@ if TYPE_CHECKING:
 
 def demo_command(
     *,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FOLDER",
-            help="Folder for the recording and the results.",
-        ),
-    ] = Path("out/demo"),
+    output: Path = option(
+        "Folder for the recording and the results.",
+        "--output",
+        "-o",
+        default=Path("out/demo"),
+        metavar="FOLDER",
+    ),
     printing: options.Printing,
 ) -> None:
     """Demonstrate visual odometry on a synthetic stereo recording.

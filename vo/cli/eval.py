@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 
 if TYPE_CHECKING:
     from vo.outputs.evaluation.inputs import Inputs
@@ -28,103 +27,71 @@ class Align(StrEnum):
     SCALE = "scale"
 
 
-Estimate = Annotated[
-    Path,
-    typer.Argument(
-        metavar="ESTIMATE",
-        help="Trajectory file (TUM, KITTI, EuRoC, TartanAir, NeRF), the folder of a run, or a log "
+def eval_command(
+    estimate: Path = argument(
+        "Trajectory file (TUM, KITTI, EuRoC, TartanAir, NeRF), the folder of a run, or a log "
         "with poses.",
+        metavar="ESTIMATE",
     ),
-]
-Reference = Annotated[
-    Path,
-    typer.Argument(metavar="TRUTH", help="Ground truth file, or recording with ground truth."),
-]
-Alignment = Annotated[
-    Align,
-    typer.Option(
-        help="Transform that aligns the estimate with the ground truth. auto: sim3 for a mono run, "
+    reference: Path = argument(
+        "Ground truth file, or recording with ground truth.", metavar="TRUTH"
+    ),
+    *,
+    align: Align = option(
+        "Transform that aligns the estimate with the ground truth. auto: sim3 for a mono run, "
         "else se3.",
-        rich_help_panel=_PAIRING,
+        default=Align.AUTO,
+        panel=_PAIRING,
     ),
-]
-Tolerance = Annotated[
-    float,
-    typer.Option(
+    tolerance: float = option(
+        "Largest difference between the stamps of a pair.",
+        default=0.01,
         min=0.0,
         metavar="SECONDS",
-        help="Largest difference between the stamps of a pair.",
-        rich_help_panel=_PAIRING,
+        panel=_PAIRING,
     ),
-]
-Interpolate = Annotated[
-    bool,
-    typer.Option(
+    interpolate: bool = option(
+        "Interpolate the ground truth at the estimate's stamps, or take the nearest pose.",
         "--interpolate/--no-interpolate",
-        help="Interpolate the ground truth at the estimate's stamps, or take the nearest pose.",
-        rich_help_panel=_PAIRING,
+        default=False,
+        panel=_PAIRING,
     ),
-]
-Delta = Annotated[
-    int,
-    typer.Option(
+    delta: int = option(
+        "Step of the relative error in matched poses.",
+        default=1,
         min=1,
         metavar="N",
-        help="Step of the relative error in matched poses.",
-        rich_help_panel=_METRICS,
+        panel=_METRICS,
     ),
-]
-DeltaM = Annotated[
-    float | None,
-    typer.Option(
+    delta_m: float | None = option(
+        "Step of the relative error in metres.",
+        default=None,
         metavar="METRES",
-        help="Step of the relative error in metres.",
         show_default="about a tenth of the path",
-        rich_help_panel=_METRICS,
+        panel=_METRICS,
     ),
-]
-AllSegments = Annotated[
-    bool,
-    typer.Option(
+    all_segments: bool = option(
+        "Evaluate all segments of a run as one, not only the longest.",
         "--all-segments",
-        help="Evaluate all segments of a run as one, not only the longest.",
-        rich_help_panel=_METRICS,
+        default=False,
+        panel=_METRICS,
     ),
-]
-Topics = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="TOPIC",
-        help="Poses in a log: truth=/gt, estimate=/odom, or truth=/tf:map:base_link for frames of "
-        "tf; repeatable.",
-        show_default="the only topic with poses, or that named like ground truth",
-        rich_help_panel=options.INPUT,
-    ),
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Plot path and errors to this .png, .pdf or .svg file.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-
-
-def eval_command(
-    estimate: Estimate,
-    reference: Reference,
-    *,
-    align: Alignment = Align.AUTO,
-    tolerance: Tolerance = 0.01,
-    interpolate: Interpolate = False,
-    delta: Delta = 1,
-    delta_m: DeltaM = None,
-    all_segments: AllSegments = False,
     calibration: options.Calibration = None,
-    topic: Topics = None,
+    topic: list[str] | None = option(
+        "Poses in a log: truth=/gt, estimate=/odom, or truth=/tf:map:base_link for frames of "
+        "tf; repeatable.",
+        default=None,
+        metavar="TOPIC",
+        show_default="the only topic with poses, or that named like ground truth",
+        panel=options.INPUT,
+    ),
     printing: options.Printing,
-    picture: Picture = None,
+    picture: Path | None = option(
+        "Plot path and errors to this .png, .pdf or .svg file.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    ),
 ) -> None:
     """Evaluate an estimated trajectory against ground truth.
 

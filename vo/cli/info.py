@@ -8,32 +8,25 @@ from typing import Annotated
 import typer
 
 from vo.cli import options
-from vo.cli.blocks import Only
-
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Write a contact sheet of evenly spaced images to this PNG file.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-AllImages = Annotated[
-    bool,
-    typer.Option(
-        "--all",
-        help="Check all images and inertial samples, not 24 images per camera.",
-        rich_help_panel=options.INPUT,
-    ),
-]
+from vo.cli.blocks import Only, option
 
 
 def info_command(
     source: options.Recording,
     *,
-    picture: Picture = None,
+    picture: Path | None = option(
+        "Write a contact sheet of evenly spaced images to this PNG file.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    ),
     printing: options.Printing,
-    all_images: AllImages = False,
+    all_images: bool = option(
+        "Check all images and inertial samples, not 24 images per camera.",
+        "--all",
+        default=False,
+        panel=options.INPUT,
+    ),
     reading: Annotated[
         options.Reading, Only("calibration", "format", "topic", "right_offset", "mode")
     ],

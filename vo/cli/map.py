@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
 
 
@@ -20,55 +19,34 @@ class MapAction(StrEnum):
     MERGE = "merge"
 
 
-Action = Annotated[
-    MapAction,
-    typer.Argument(
-        metavar="ACTION",
-        help="info: check a map and list what is in it; export: write its points and markers as "
+def map_command(
+    action: MapAction = argument(
+        "info: check a map and list what is in it; export: write its points and markers as "
         "PLY; merge: write two maps that share a place as one.",
+        metavar="ACTION",
     ),
-]
-Files = Annotated[
-    list[Path], typer.Argument(metavar="FILE...", help="Map file; two of them to merge.")
-]
-Output = Annotated[
-    Path | None,
-    typer.Option(
+    files: list[Path] = argument("Map file; two of them to merge.", metavar="FILE..."),
+    *,
+    output: Path | None = option(
+        "File to write: PLY (export), or a map (merge).",
         "--output",
         "-o",
+        default=None,
         metavar="FILE",
-        help="File to write: PLY (export), or a map (merge).",
-        rich_help_panel=options.OUTPUT,
+        panel=options.OUTPUT,
     ),
-]
-World = Annotated[
-    int | None,
-    typer.Option(
+    world: int | None = option(
+        "World to export; by default that with most keyframes.",
+        default=None,
         metavar="N",
-        help="World to export; by default that with most keyframes.",
-        rich_help_panel=options.INPUT,
+        panel=options.INPUT,
     ),
-]
-
-
-Vocabulary = Annotated[
-    Path | None,
-    typer.Option(
-        "--vocabulary",
+    vocabulary: Path | None = option(
+        "Vocabulary of both maps (merge); by default the built-in one.",
+        default=None,
         metavar="FILE",
-        help="Vocabulary of both maps (merge); by default the built-in one.",
-        rich_help_panel=options.INPUT,
+        panel=options.INPUT,
     ),
-]
-
-
-def map_command(
-    action: Action,
-    files: Files,
-    *,
-    output: Output = None,
-    world: World = None,
-    vocabulary: Vocabulary = None,
     printing: options.Printing,
 ) -> None:
     """Check a map file, export it, or merge two.

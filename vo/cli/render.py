@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
 
 _PLACE = "Place of the model"
@@ -22,78 +22,49 @@ class Up(StrEnum):
     MINUS_Y = "-y"
 
 
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
-Model = Annotated[
-    Path | None,
-    typer.Argument(
+def render_command(
+    run: Path = argument("Folder of a run.", metavar="RUN"),
+    *,
+    model: Path | None = argument(
+        "Mesh as .ply or .obj.",
+        default=None,
         metavar="MODEL",
-        help="Mesh as .ply or .obj.",
         show_default="axes x (red), y (green), z (blue)",
     ),
-]
-Output = Annotated[
-    Path,
-    typer.Option(
+    output: Path = option(
+        "Video (.mp4) of all frames with a pose, or picture (.png, .jpg) of one.",
         "--output",
         "-o",
+        default=Path("rendered.mp4"),
         metavar="FILE",
-        help="Video (.mp4) of all frames with a pose, or picture (.png, .jpg) of one.",
-        rich_help_panel=options.OUTPUT,
+        panel=options.OUTPUT,
     ),
-]
-At = Annotated[
-    str | None,
-    typer.Option(
+    at: str | None = option(
+        "Position of the middle of its underside in the world of the run (y down).",
+        default=None,
         metavar="X,Y,Z",
-        help="Position of the middle of its underside in the world of the run (y down).",
-        rich_help_panel=_PLACE,
+        panel=_PLACE,
     ),
-]
-InFront = Annotated[
-    str | None,
-    typer.Option(
+    in_front: str | None = option(
+        "In front of the camera at frame N, at this distance, and somewhat below its axis.",
+        default=None,
         metavar="N:LENGTH",
-        help="In front of the camera at frame N, at this distance, and somewhat below its axis.",
         show_default="first frame, a quarter of the path's length",
-        rich_help_panel=_PLACE,
+        panel=_PLACE,
     ),
-]
-Size = Annotated[
-    float | None,
-    typer.Option(
+    size: float | None = option(
+        "Largest extent of the model.",
+        default=None,
         metavar="LENGTH",
-        help="Largest extent of the model.",
         show_default="a fifth of the distance",
-        rich_help_panel=_PLACE,
+        panel=_PLACE,
     ),
-]
-UpAxis = Annotated[
-    Up,
-    typer.Option(
-        "--up",
-        metavar="AXIS",
-        help="Axis of the model that points up: y, z or -y.",
-        rich_help_panel=_PLACE,
+    up: Up = option(
+        "Axis of the model that points up: y, z or -y.", default=Up.Y, metavar="AXIS", panel=_PLACE
     ),
-]
-FrameNumber = Annotated[
-    int | None,
-    typer.Option(
-        "--frame", min=0, metavar="N", help="Draw this frame alone.", rich_help_panel=options.INPUT
+    frame: int | None = option(
+        "Draw this frame alone.", default=None, min=0, metavar="N", panel=options.INPUT
     ),
-]
-
-
-def render_command(
-    run: Run,
-    *,
-    model: Model = None,
-    output: Output = Path("rendered.mp4"),
-    at: At = None,
-    in_front: InFront = None,
-    size: Size = None,
-    up: UpAxis = Up.Y,
-    frame: FrameNumber = None,
     printing: options.Printing,
 ) -> None:
     """Place a model in a recording, and draw it with the poses of a run.

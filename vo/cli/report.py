@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from vo.base.printable import counted
 from vo.cli import options
+from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
 
 if TYPE_CHECKING:
@@ -17,42 +16,27 @@ if TYPE_CHECKING:
     from vo.outputs.report.run_folder import RunRecord
 
 
-Runs = Annotated[
-    list[Path],
-    typer.Argument(metavar="RUN", help="Output folders of `vo run`; several are compared."),
-]
-Output = Annotated[
-    Path | None,
-    typer.Option(
+def report_command(
+    runs: list[Path] = argument("Output folders of `vo run`; several are compared.", metavar="RUN"),
+    *,
+    output: Path | None = option(
+        "HTML file to write; an earlier report is replaced.",
         "--output",
         "-o",
+        default=None,
         metavar="FILE",
-        help="HTML file to write; an earlier report is replaced.",
         show_default="report.html in the folder of the run; of several runs, in the current folder",
     ),
-]
-Truth = Annotated[
-    Path | None,
-    typer.Option(
+    truth: Path | None = option(
+        "Ground truth file, or recording with ground truth.",
+        default=None,
         metavar="TRUTH",
-        help="Ground truth file, or recording with ground truth.",
         show_default="that of the run's recording",
     ),
-]
-Pictures = Annotated[
-    Path | None,
-    typer.Option(metavar="FOLDER", help="Also save each figure as PNG and PDF in this folder."),
-]
-Images = Annotated[bool, typer.Option(help="Include small images of notable frames.")]
-
-
-def report_command(
-    runs: Runs,
-    *,
-    output: Output = None,
-    truth: Truth = None,
-    picture: Pictures = None,
-    images: Images = True,
+    picture: Path | None = option(
+        "Also save each figure as PNG and PDF in this folder.", default=None, metavar="FOLDER"
+    ),
+    images: bool = option("Include small images of notable frames.", default=True),
     printing: options.Printing,
 ) -> None:
     """Write an HTML report of one or several runs.

@@ -19,17 +19,6 @@ if TYPE_CHECKING:
 _SEARCH = "What is tried"  # heading of options in `--help`
 _MAX_ROWS = 20
 
-Output = Annotated[
-    Path,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FOLDER",
-        help="Folder for the batches of all trials, best.yaml and sweep.json.",
-        rich_help_panel=options.OUTPUT,
-    ),
-]
-
 
 @block(_SEARCH)
 class Search:
@@ -69,7 +58,14 @@ class Search:
 def sweep_command(
     *,
     sources: Sources = None,
-    output: Output = Path("sweep"),
+    output: Path = option(
+        "Folder for the batches of all trials, best.yaml and sweep.json.",
+        "--output",
+        "-o",
+        default=Path("sweep"),
+        metavar="FOLDER",
+        panel=options.OUTPUT,
+    ),
     search: Search,
     manifest: Manifest = None,
     dataset: Dataset = None,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from vo.base.printable import counted
 from vo.cli import completion, options
-from vo.cli.blocks import block, option
+from vo.cli.blocks import argument, block, option
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
@@ -21,14 +21,6 @@ if TYPE_CHECKING:
 # Headings of the options in `--help`, besides those in `options`.
 _SCENE, _CAMERA = "Scene and motion", "Camera"
 _RECIPE_FIELDS = ("world", "motion", "camera", "mono", "seconds", "fps", "seed")
-
-Output = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="OUTPUT", help="Folder to create, or a file for MCAP.", show_default=False
-    ),
-]
-List = Annotated[bool, typer.Option("--list", help="List presets, cameras and settings, and exit.")]
 
 
 @block(_SCENE)
@@ -100,10 +92,12 @@ class Files:
 
 def synth_command(
     *,
-    output: Output = None,
+    output: Path | None = argument(
+        "Folder to create, or a file for MCAP.", default=None, metavar="OUTPUT", show_default=False
+    ),
     scene: Scene,
     files: Files,
-    list_: List = False,
+    list_: bool = option("List presets, cameras and settings, and exit.", "--list", default=False),
     printing: options.Printing,
 ) -> None:
     """Render a synthetic recording with exact ground truth.

@@ -6,11 +6,10 @@ import contextlib
 import shlex
 import signal
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
@@ -21,38 +20,27 @@ _LOCALHOST = "127.0.0.1"
 _WEB = "Web page"
 
 
-Recording = Annotated[
-    Path,
-    typer.Argument(metavar="RUN", help="Folder of a run recorded with --rrd, or an .rrd file."),
-]
-Web = Annotated[bool, typer.Option("--web", help="Serve a web page instead of opening a window.")]
-Port = Annotated[
-    int,
-    typer.Option(
+def view_command(
+    recording: Path = argument(
+        "Folder of a run recorded with --rrd, or an .rrd file.", metavar="RUN"
+    ),
+    *,
+    web: bool = option("Serve a web page instead of opening a window.", "--web", default=False),
+    port: int = option(
+        "Port of the web page.",
+        default=0,
         min=0,
         max=65535,
         metavar="PORT",
-        help="Port of the web page.",
         show_default="a free one",
-        rich_help_panel=_WEB,
+        panel=_WEB,
     ),
-]
-Bind = Annotated[
-    str,
-    typer.Option(
+    bind: str = option(
+        "Network address to serve on; 0.0.0.0 allows access from other machines.",
+        default=_LOCALHOST,
         metavar="ADDRESS",
-        help="Network address to serve on; 0.0.0.0 allows access from other machines.",
-        rich_help_panel=_WEB,
+        panel=_WEB,
     ),
-]
-
-
-def view_command(
-    recording: Recording,
-    *,
-    web: Web = False,
-    port: Port = 0,
-    bind: Bind = _LOCALHOST,
     printing: options.Printing,
 ) -> None:
     """Show a run in the rerun viewer.

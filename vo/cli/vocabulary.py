@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from vo.cli import options
+from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
 
 
@@ -18,40 +16,22 @@ class VocabularyAction(StrEnum):
     TRAIN = "train"
 
 
-Action = Annotated[
-    VocabularyAction,
-    typer.Argument(metavar="ACTION", help="train: make a vocabulary of the images of recordings."),
-]
-Sources = Annotated[
-    list[Path], typer.Argument(metavar="RECORDING", help="Recordings in any format of `vo run`.")
-]
-Output = Annotated[
-    Path,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Vocabulary to write.",
-        rich_help_panel=options.OUTPUT,
+def vocabulary_command(
+    action: VocabularyAction = argument(
+        "train: make a vocabulary of the images of recordings.", metavar="ACTION"
     ),
-]
-Every = Annotated[
-    int,
-    typer.Option(
+    sources: list[Path] = argument("Recordings in any format of `vo run`.", metavar="RECORDING"),
+    output: Path = option(
+        "Vocabulary to write.", "--output", "-o", metavar="FILE", panel=options.OUTPUT
+    ),
+    *,
+    every: int = option(
+        "Use every N-th frame; neighbouring frames are nearly the same.",
+        default=10,
         min=1,
         metavar="N",
-        help="Use every N-th frame; neighbouring frames are nearly the same.",
-        rich_help_panel=options.INPUT,
+        panel=options.INPUT,
     ),
-]
-
-
-def vocabulary_command(
-    action: Action,
-    sources: Sources,
-    output: Output,
-    *,
-    every: Every = 10,
     printing: options.Printing,
 ) -> None:
     """Train a vocabulary of ORB features, by which places are recognised.
