@@ -61,6 +61,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"map_updater", "snapshot", "memory", "warmup"},
         {"map_creator"},
         {"placement"},
+        {"recovery"},
         {"stages"},
         {"odometry"},
     ),

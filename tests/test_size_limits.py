@@ -13,7 +13,7 @@ MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 MAX_PARAMETERS = 8
 MAX_COMMAND_PARAMETERS = 12  # blocks of options count once
-MAX_ODOMETRY_LINES = 275
+MAX_ODOMETRY_LINES = 250
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 

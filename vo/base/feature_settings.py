@@ -91,6 +91,11 @@ class FeaturesConfig(Section):
         7, ge=1, le=200, description="minimum contrast in grid cells without a corner"
     )
 
+    @property
+    def is_orb(self) -> bool:
+        """Whether features are the built-in ORB, which loops and maps know the words of."""
+        return self.detector == "orb" and self.descriptor in ("auto", "rbrief")
+
 
 MatchingName = Literal[
     "auto", "brute_force", "mnn", "flann", "ann", "lightglue", "lighterglue", "superglue"

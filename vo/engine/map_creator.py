@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from vo.base.failures import Failure
 from vo.base.types import Floats
 from vo.engine.frontend.preprocessing import PreprocessedFrame
@@ -17,26 +15,14 @@ from vo.engine.tracking.tracker import Tracker
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
 
-class Initializers(NamedTuple):
-    """Creators of a first map.
-
-    Attributes:
-        stereo: of a pair, or of a depth camera.
-        monocular: of a single camera.
-        second: of a single camera, from features of the second kind.
-    """
-
-    stereo: StereoInitializer
-    monocular: MonocularInitializer
-    second: MonocularInitializer
-
-
 class MapCreator:
     """Creates the first map of a segment, from features of the second kind if the first fail.
 
     Args:
         local_map: the map.
-        initializers: create it.
+        stereo: creates it of a pair, or of a frame with depth.
+        monocular: creates it of two frames of a single camera.
+        second: the same, from features of the second kind.
         rescue: decides whether features of the second kind may help.
         tracker: tracks the frames before the second one in the new map.
         updater: optimises the new map.
@@ -46,14 +32,16 @@ class MapCreator:
     def __init__(
         self,
         local_map: LocalMap,
-        initializers: Initializers,
+        stereo: StereoInitializer,
+        monocular: MonocularInitializer,
+        second: MonocularInitializer,
         rescue: Rescue,
         tracker: Tracker,
         updater: MapUpdater,
         trajectory: TrajectoryBuilder,
     ) -> None:
         self._map = local_map
-        self._stereo, self._monocular, self._second = initializers
+        self._stereo, self._monocular, self._second = stereo, monocular, second
         self._rescue = rescue
         self._tracker = tracker
         self._updater = updater

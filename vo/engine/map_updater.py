@@ -54,6 +54,7 @@ class MapUpdater:
         self._window = window
         self._refiner = refiner
         self._trajectory = trajectory
+        self._followed = -1  # index of the newest frame that was followed
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -62,6 +63,9 @@ class MapUpdater:
 
     def follow(self, frame: PreprocessedFrame) -> None:
         """Adapt the map to what is corrected, and uncertain, in the images of a frame."""
+        if frame.index <= self._followed:  # it is tracked again, in another map
+            return
+        self._followed = frame.index
         self._trajectory.reach(frame)
         self.vertical_disparity = frame.vertical_disparity
         if frame.corrected != self.corrected:
@@ -82,6 +86,7 @@ class MapUpdater:
         if not is_metric and self._trajectory.store.has_frame(segment, frame.index):
             return False
         self.apply()
+        self._followed = frame.index - 1
         self._refiner.restart()
         self._map.clear_corrected()
         pose = self._trajectory.remove_from(frame.index)

@@ -69,21 +69,17 @@ class Odometry:
         self.hidden = stages.preprocessor.hidden
         self._window_optimizer = stages.window_optimizer
         self._tracker = stages.tracker
-        self._frozen_camera = stages.frozen_camera
-        self._rescue = stages.rescue
+        self._recovery = stages.recovery
         self._creator = stages.creator
+        self._rescue = stages.rescue
         self._policy = stages.policy
         self._forecast = stages.forecast
-        self._loss_policy = stages.loss_policy
         self._map = stages.local_map
         self._mapper = stages.mapper
         self._updater = stages.updater
         self._trajectory = stages.trajectory
         self.placement = stages.placement
         self._config = config
-        self._state = State.STARTING
-        self._segment = 0
-        self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
         self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
         self._result: FrameResult | None = None  # of the newest frame
         self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
@@ -104,7 +100,8 @@ class Odometry:
         The rest, which the next frame needs, is left to `update_map`; keyframes that it adds or
         moves are in the next estimate.
         """
-        return self._estimate(self._locate(self._preprocessor.submit(frame)))
+        self._locate(self._preprocessor.submit(frame))
+        return self._estimate()
 
     def update_map(self) -> None:
         """Make the newest frame a keyframe if the map needs one; in any thread, before the next."""
@@ -140,74 +137,57 @@ class Odometry:
 
     def snapshot(self) -> Snapshot:
         """The newest frame and the local map for display, before the next frame is tracked."""
+        result, sigma_px = self._newest, self._config.stereo.sigma_disparity_px
+        anchor = self.trajectory.anchor(self._recovery.segment)
+        return make_snapshot(result, self._map, sigma_px, anchor, has_moved=self._has_moved)
+
+    @property
+    def _newest(self) -> FrameResult:
         if self._result is None:
             raise RuntimeError("no frame has been tracked yet")
-        sigma_px = self._config.stereo.sigma_disparity_px
-        anchor = self.trajectory.anchor(self._segment)
-        return make_snapshot(self._result, self._map, sigma_px, anchor, has_moved=self._has_moved)
+        return self._result
 
     def _process(self, pending: LazyFuture[PreprocessedFrame]) -> Estimate:
-        result = self._locate(pending)
+        self._locate(pending)
         self.update_map()
-        return self._estimate(result)
+        return self._estimate()
 
-    def _locate(self, pending: LazyFuture[PreprocessedFrame]) -> FrameResult:
-        """Track a frame, after the frames before it once more if they were misled."""
+    def _locate(self, pending: LazyFuture[PreprocessedFrame]) -> None:
+        """Track a frame, and others again where it shows that they were misled or lost."""
         frame = self._preprocess(pending)
         self.update_map()
-        self.placement.begin_frame(frame.index, self._segment, self._map)
-        if frame.misled and self._updater.forget_from(frame.misled[0], self._segment):
-            self.placement.forget_from(frame.misled[0].index)
-            self._creator.restart()
-            self._state, self._lost = State.STARTING, []
-            for each in frame.misled:
-                self._advance(each)
-        result, is_lost = self._advance(frame), self._state is not State.TRACKING
-        self._anchor = self._trajectory.store.anchor(self._segment)
+        self.placement.begin_frame(frame.index, self._recovery.segment, self._map)
+        for each in self._recovery.frames(frame):
+            self.update_map()
+            self._updater.follow(each)
+            self._result = self._track(each)
+        self._anchor = self._trajectory.store.anchor(self._recovery.segment)
+        is_lost = self._recovery.state is not State.TRACKING
         self._preprocessor.is_eager = is_lost or self._forecast.expects_all
-        return result
-
-    def _advance(self, frame: PreprocessedFrame) -> FrameResult:
-        """Track a frame, and give up the map after too many lost ones."""
-        self.update_map()
-        self._updater.follow(frame)
-        self._result = self._track(frame)
-        if self._loss_policy.gives_up(self._lost):
-            for each in self._start_segment():  # a new map may hold the frames that were lost
-                self.update_map()
-                self._result = self._track(each)
-        return self._result
 
     @timed("features")
     def _preprocess(self, pending: LazyFuture[PreprocessedFrame]) -> PreprocessedFrame:
         frame = pending.result()
-        if self._expects_keyframe or self._state is not State.TRACKING:
+        if self._expects_keyframe or self._recovery.state is not State.TRACKING:
             frame.start_features()
         return frame
 
     def _track(self, frame: PreprocessedFrame) -> FrameResult:
-        """Track one frame, make it a keyframe if the map needs one, and extend the map."""
-        if self._frozen_camera.is_frozen(frame, self._segment):
+        """Align a frame to the last one, track it in the map, and ask whether that needs it."""
+        if self._recovery.is_frozen(frame):
             return FrameResult(frame, failure=Failure(FailureReason.REPEATED_IMAGE))
-        before, last_from_cam = self._tracker.last, None
-        if self._state is State.TRACKING:
+        last, last_from_cam = self._tracker.last, None
+        if self._recovery.state is State.TRACKING:
             # The window is optimised at the same time: the result does not depend on it.
             last_from_cam = self._tracker.align_to_last(frame)
         self._updater.next_frame()
-        if self._state is State.STARTING:
+        if self._recovery.state is State.STARTING:
             return self._start(frame)
-        is_lost = self._state is State.LOST or self._frozen_camera.has_withheld
-        frame = self._rescue.of_map(frame)
-        tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)
+        frame, tracked = self._recovery.track(frame, last_from_cam)
         if isinstance(tracked, Failure):
-            frame, tracked = self._rescue.track(frame, tracked)
-        if isinstance(tracked, Failure):
-            self._state = State.LOST
-            self._lost.append(frame.of_kind(is_second=False))
             return FrameResult(frame, failure=tracked, predicted=self._tracker.predicted(frame))
-        self._state, self._lost = State.TRACKING, []
         newest = self._map.keyframes[-1]
-        for each in self._frozen_camera.resume(tracked):
+        for each in self._recovery.resume(tracked):
             self._trajectory.add_frame(each, newest, self._tracker.last_pose)
         faults = self._tracker.update(frame, tracked)
         is_keyframe = self._needs_keyframe(frame, tracked)
@@ -215,7 +195,7 @@ class Odometry:
             frame = self._rescue.at_keyframe(frame)
         else:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
-        return FrameResult(frame, tracked, is_keyframe, before, faults=faults)
+        return FrameResult(frame, tracked, is_keyframe, last, faults=faults)
 
     def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:
         change = self._policy.change_since_last(self._map, frame, tracked)
@@ -226,7 +206,7 @@ class Odometry:
     def _add_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> Keyframe:
         """Add a keyframe and landmarks, and optimise the newest keyframes."""
         frame.start_features()
-        keyframe = self._mapper.add_keyframe(frame, tracked, self._segment)
+        keyframe = self._mapper.add_keyframe(frame, tracked, self._recovery.segment)
         if self._map.rig.is_metric:  # the window is optimised while the map grows
             self._updater.add_keyframe(keyframe)
             self._mapper.extend(keyframe, frame)
@@ -238,35 +218,26 @@ class Odometry:
     @timed("start")
     def _start(self, frame: PreprocessedFrame) -> FrameResult:
         """Create the first map of a segment, where a frame allows it."""
-        keyframe = self._creator.create_map(frame, self._tracker.last_pose, self._segment)
+        segment = self._recovery.segment
+        keyframe = self._creator.create_map(frame, self._tracker.last_pose, segment)
         if isinstance(keyframe, Failure):
             return FrameResult(frame, failure=keyframe)
-        frame = self._rescue.of_map(frame)
-        before = self._tracker.last
-        self._state, self._lost = State.TRACKING, []
+        frame = self._recovery.start(frame)
         self._updater.add_keyframe(keyframe)
         tracked = as_tracked_frame(self._map, keyframe)
         self._tracker.restart(frame, tracked)
-        return FrameResult(frame, tracked, True, before, keyframe=keyframe)
+        return FrameResult(frame, tracked, is_keyframe=True, keyframe=keyframe)
 
-    def _start_segment(self) -> list[PreprocessedFrame]:
-        """Give up the map; the lost frames, to be tracked in a new one."""
-        self._updater.apply()
-        frames, self._lost = self._lost, []
-        self._tracker.forget_last_frame()
-        self._creator.restart()
-        self._state = State.STARTING
-        self._segment += 1
-        return frames
-
-    def _estimate(self, result: FrameResult) -> Estimate:
-        moved = self._trajectory.take_moved()
+    def _estimate(self) -> Estimate:
+        """The newest frame's result."""
+        result, segment, path = self._newest, self._recovery.segment, self._trajectory
+        moved = path.take_moved()
         self._has_moved = bool(moved)
-        pose, path = result.world_from_cam, self._trajectory
+        pose = result.world_from_cam
         return replace(
-            make_estimate(result, self._state, self._segment),
+            make_estimate(result, self._recovery.state, segment),
             world_from_cam0=None if pose is None else path.map_from_cam0(pose, self._anchor),
-            predicted=path.predicted(result.predicted, self._segment, self._anchor),
+            predicted=path.predicted(result.predicted, segment, self._anchor),
             faults=result.every_fault + self._updater.faults,
             keyframes=moved,
             landmark_ids=self._map.id.copy() if moved else None,

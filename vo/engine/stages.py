@@ -19,8 +19,14 @@ from vo.engine.backend.gap_factors import GapFactors
 from vo.engine.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.engine.backend.sliding_window import SlidingWindow
 from vo.engine.backend.window_problem import FactorSource
-from vo.engine.frontend.contracts import DescriptorFormat, FeatureExtractor, Matcher
+from vo.engine.frontend.contracts import (
+    DescriptorFormat,
+    FeatureExtractor,
+    Matcher,
+    PointDescriber,
+)
 from vo.engine.frontend.frontend import Frontend, make_frontend
+from vo.engine.frontend.matching import HammingMatcher
 from vo.engine.frontend.orb import OrbExtractor
 from vo.engine.frontend.pair_check import PairCheck
 from vo.engine.frontend.pair_matching import PairMatcher
@@ -29,18 +35,17 @@ from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.inertial.samples import InertialSensor, RetimedSensor, SampleReader
-from vo.engine.map_creator import Initializers, MapCreator
+from vo.engine.map_creator import MapCreator
 from vo.engine.map_updater import MapUpdater
 from vo.engine.mapping.keyframe_store import KeyframeStore
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.placement import Placement
+from vo.engine.recovery import LossPolicy, Recovery
 from vo.engine.refinement.calibration_refiner import CalibrationRefiner
-from vo.engine.tracking.frozen_camera import FrozenCamera
 from vo.engine.tracking.inertial_motion import InertialMotion
 from vo.engine.tracking.keyframe_forecast import KeyframeForecast
 from vo.engine.tracking.keyframe_policy import KeyframePolicy
-from vo.engine.tracking.loss_policy import LossPolicy
 from vo.engine.tracking.monocular_initializer import MonocularInitializer
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
 from vo.engine.tracking.rescue import Kinds, Rescue
@@ -50,7 +55,6 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:
     from vo.engine.inertial_path.alignment import InertialAlignment
-    from vo.engine.learned.xfeat import XFeatExtractor
     from vo.engine.memory.memory import Memory
 
 
@@ -88,12 +92,11 @@ class Stages(NamedTuple):
 
     preprocessor: FramePreprocessor
     tracker: Tracker
-    frozen_camera: FrozenCamera
+    recovery: Recovery
     rescue: Rescue
     creator: MapCreator
     policy: KeyframePolicy
     forecast: KeyframeForecast
-    loss_policy: LossPolicy
     local_map: LocalMap
     mapper: LocalMapper
     updater: MapUpdater
@@ -109,26 +112,18 @@ def make_stages(
     stopwatch: Stopwatch,
     optimizer_process: Popen[bytes] | None = None,
 ) -> Stages:
-    """Build all stages.
-
-    Args:
-        rig: the cameras, as recorded.
-        config: all settings.
-        components: parts to be used instead of the built-in ones.
-        stopwatch: measures the stages.
-        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
-
-    Raises:
-        CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
-    """
-    rectified = rectified_rig(_with_readout(rig, config.camera.readout_s))
+    """Build all stages, see `Odometry`."""
+    if config.camera.readout_s is not None:
+        rig = replace(rig, cam0=replace(rig.cam0, readout_s=config.camera.readout_s))
+    rectified = rectified_rig(rig)
     masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
     threads = config.threads or available_cores()
     second = _second_extractor(config, components)
     frontend = _frontend(config, components, second)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_metric)
     descriptors = frontend.extractor.descriptor_format
-    sensor = _sensor(components)
+    given = components.inertial_sensor
+    sensor = None if given is None else RetimedSensor(given)
     predictor = _predictor(sensor, components.inertial_noise, rectified)
     inertial = _inertial(sensor, predictor, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
@@ -136,44 +131,37 @@ def make_stages(
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or _motion(sensor, predictor, rectified)
-    optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
-    policy = _policy(config, is_metric=rig.is_metric)
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
-    factors = _factors(components, motion, predictor)
-    window = _window(local_map, optimizer, config, factors, stopwatch)
+    optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
+    factors = list(components.factor_sources)
+    if predictor is not None:
+        factors.append(GapFactors(motion, predictor))
+    sigma_px = config.stereo.sigma_disparity_px
+    window = SlidingWindow(local_map, optimizer, sigma_px, config.smoothing, stopwatch, factors)
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
     updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
     kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
     rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
     initializers = _initializers(local_map, mapper, frontend, config, predictor)
+    creator = MapCreator(local_map, *initializers, rescue, tracker, updater, trajectory)
+    placement = Placement(memory, inertial)
+    losses = LossPolicy(config.tracking.recover_frames, predictor)
+    policy = _policy(config, is_metric=rig.is_metric)
     return Stages(
         _preprocessor(rectified, frontend, masks, config, threads, second),
         tracker,
-        FrozenCamera(tracker),
+        Recovery(tracker, rescue, creator, updater, placement, losses),
         rescue,
-        MapCreator(local_map, initializers, rescue, tracker, updater, trajectory),
+        creator,
         policy,
         KeyframeForecast(policy),
-        LossPolicy(config.tracking.recover_frames, predictor),
         local_map,
         mapper,
         updater,
         optimizer,
         trajectory,
-        Placement(memory, inertial),
+        placement,
     )
-
-
-def _with_readout(rig: Rig, readout_s: float | None) -> Rig:
-    """A rig with the readout time of the settings, where they have one."""
-    if readout_s is None:
-        return rig
-    return replace(rig, cam0=replace(rig.cam0, readout_s=readout_s))
-
-
-def _sensor(components: Components) -> RetimedSensor | None:
-    sensor = components.inertial_sensor
-    return None if sensor is None else RetimedSensor(sensor)
 
 
 def _inertial(
@@ -250,50 +238,24 @@ def _policy(config: Config, *, is_metric: bool) -> KeyframePolicy:
     return KeyframePolicy(keyframes, config.tracking.max_landmarks)
 
 
-def _window(
-    local_map: LocalMap,
-    optimizer: WindowOptimizer,
-    config: Config,
-    factor_sources: Sequence[FactorSource],
-    stopwatch: Stopwatch,
-) -> SlidingWindow:
-    return SlidingWindow(
-        local_map,
-        optimizer,
-        config.stereo.sigma_disparity_px,
-        config.smoothing,
-        stopwatch,
-        factor_sources,
-    )
-
-
-def _factors(
-    components: Components, motion: MotionModel, predictor: InertialPredictor | None
-) -> Sequence[FactorSource]:
-    """Factors of the window beside the observations."""
-    if predictor is None:
-        return components.factor_sources
-    return [*components.factor_sources, GapFactors(motion, predictor)]
-
-
 def _initializers(
     local_map: LocalMap,
     mapper: LocalMapper,
     frontend: Frontend,
     config: Config,
     predictor: InertialPredictor | None,
-) -> Initializers:
+) -> tuple[StereoInitializer, MonocularInitializer, MonocularInitializer]:
     turns = None if predictor is None else predictor.turns
     by_flow = config.tracking.method == "klt"
     parts = local_map, mapper, frontend, config.start, config.tracking.search_ratio
-    return Initializers(
+    return (
         StereoInitializer(local_map, mapper, config.start.min_points),
         MonocularInitializer(*parts, by_flow=by_flow, turns=turns),
         MonocularInitializer(*parts, by_flow=by_flow),
     )
 
 
-def _second_extractor(config: Config, components: Components) -> XFeatExtractor | None:
+def _second_extractor(config: Config, components: Components) -> PointDescriber | None:
     """What `features.rescue` names, beside ORB."""
     features = config.features
     if features.rescue == "none":
@@ -311,30 +273,24 @@ def _second_extractor(config: Config, components: Components) -> XFeatExtractor 
 
 def _frontend(config: Config, components: Components, second: FeatureExtractor | None) -> Frontend:
     """Features and matching; with a matcher for both kinds where there are two."""
-    if second is None:
-        return _usual_frontend(config, components)
-    from vo.engine.features.kinds import MatcherOfKinds
-    from vo.engine.features.matching import make_matcher
-
-    usual = _usual_frontend(config, components)
-    matcher = MatcherOfKinds(usual.matcher, make_matcher(config.matching, second))
-    return make_frontend(config, usual.extractor, matcher)
-
-
-def _usual_frontend(config: Config, components: Components) -> Frontend:
     features, matching = config.features, config.matching
-    is_default = features.detector == "orb" and features.descriptor in ("auto", "rbrief")
-    is_default &= matching.method == "auto" and matching.cross_check
     extractor, matcher = components.extractor, components.matcher
-    if extractor is None and is_default:
-        return make_frontend(config, None, matcher)
-    # Imported where they are used: loading all kinds of features takes a while.
-    from vo.engine.features.extractor import make_extractor
-    from vo.engine.features.matching import make_matcher
+    is_default = features.is_orb and matching.method == "auto" and matching.cross_check
+    if not is_default or extractor is not None:
+        # Imported where they are used: loading all kinds of features takes a while.
+        from vo.engine.features.extractor import make_extractor
+        from vo.engine.features.matching import make_matcher
 
-    own = None if extractor is not None else features
-    extractor = extractor or make_extractor(features)
-    return make_frontend(config, extractor, matcher or make_matcher(matching, extractor, own))
+        own = None if extractor is not None else features
+        extractor = extractor or make_extractor(features)
+        matcher = matcher or make_matcher(matching, extractor, own)
+    if second is not None:
+        from vo.engine.features.kinds import MatcherOfKinds
+        from vo.engine.features.matching import make_matcher
+
+        usual = matcher or HammingMatcher(matching)
+        matcher = MatcherOfKinds(usual, make_matcher(matching, second))
+    return make_frontend(config, extractor, matcher)
 
 
 def _preprocessor(

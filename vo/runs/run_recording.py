@@ -97,12 +97,11 @@ def run(
 
 def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:
     """The settings with `memory.loops` decided, if it is `auto`."""
-    memory, features = config.memory, config.features
+    memory = config.memory
     if memory.loops != "auto":
         return config
     is_wanted = memory.map != "" or options.save_map is not None
-    is_orb = features.detector == "orb" and features.descriptor in ("auto", "rbrief")
-    loops = is_wanted or (is_orb and not is_live)
+    loops = is_wanted or (config.features.is_orb and not is_live)
     return config.model_copy(update={"memory": memory.model_copy(update={"loops": loops})})
 
 

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
 import pytest
 
 import vo
-from vo.base.config import FeaturesConfig, load_config
+from vo.base.config import DetectorName, FeaturesConfig, load_config
 from vo.base.types import Bytes, Keypoints
 from vo.engine.features.descriptors import DESCRIPTORS, available_descriptors, root_sift
 from vo.engine.features.detectors import DETECTORS, available_detectors
 from vo.engine.features.extractor import make_extractor
 from vo.engine.features.opencv import has_algorithm
+from vo.engine.learned.catalog import MODELS
 
 COUNT = 500
 SHIFT_PX = 7
@@ -34,6 +36,12 @@ def image(synthetic_stereo: Path) -> Bytes:
 def test_the_plain_package_of_opencv_has_these() -> None:
     assert set(available_detectors()) >= ALWAYS
     assert set(available_descriptors()) >= {"rbrief", "sift", "rootsift", "opencv_orb"}
+
+
+def test_settings_and_the_table_know_the_same_detectors() -> None:
+    assert set(DETECTORS) == set(get_args(DetectorName))
+    assert all((kind.find is None) != (kind.extract is None) for kind in DETECTORS.values())
+    assert all(kind.model in MODELS for kind in DETECTORS.values() if kind.model)
 
 
 @pytest.mark.parametrize("name", available_detectors())

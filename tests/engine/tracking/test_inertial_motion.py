@@ -15,8 +15,8 @@ from vo.base.types import Floats
 from vo.engine.inertial.prediction import InertialPredictor, known_motion
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import WIDTH, States
+from vo.engine.recovery import LossPolicy
 from vo.engine.tracking.inertial_motion import InertialMotion
-from vo.engine.tracking.loss_policy import LossPolicy
 from vo.engine.tracking.motion_model import ConstantVelocity, PosePrior
 
 _STAMPS = START_NS + 1_000_000_000 + np.arange(60) * 50_000_000

@@ -1,18 +1,21 @@
-"""Detectors: Harris, Shi-Tomasi, FAST, AGAST, ORB, SIFT, MSER, AKAZE, KAZE, BRISK, SURF, ..."""
+"""Detectors by name, and what goes with each."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
 
+from vo.base.config import FeaturesConfig
 from vo.base.types import Bytes
 from vo.engine.features.detections import Detections, Detector, at_points, from_opencv
 from vo.engine.features.opencv import has_algorithm, require_algorithm
+from vo.engine.frontend.contracts import FeatureExtractor
+from vo.engine.frontend.orb import OrbExtractor
 
 CORNER_SIZE_PX = 7.0
 """Diameter of FAST's ring of pixels."""
@@ -24,19 +27,6 @@ _HARRIS_K = 0.04
 _SMALLEST_PX = 16
 _REGION_AREA_PX = 30  # of the smallest region of MSER
 _REGION_SIZE_PX = 6.2  # the diameter of a disc of that area
-
-
-@dataclass(frozen=True)
-class DetectorOptions:
-    """Options that detectors have in common.
-
-    Attributes:
-        count: features wanted; detectors find more, of which some are selected.
-        threshold: minimum contrast of a corner in grey levels (FAST, AGAST, ORB, BRISK).
-    """
-
-    count: int = 1500
-    threshold: int = 20
 
 
 class OpenCvDetector:
@@ -68,8 +58,8 @@ class CornerDetector:
     base_size = CORNER_SIZE_PX
     has_scale = False
 
-    def __init__(self, options: DetectorOptions, *, harris: bool) -> None:
-        self._count = 4 * options.count
+    def __init__(self, count: int, *, harris: bool) -> None:
+        self._count = 4 * count  # of which some are selected
         self._harris = harris
 
     def detect(self, image: Bytes, mask: Bytes | None = None) -> Detections:
@@ -90,106 +80,119 @@ class CornerDetector:
 
 
 class DetectorKind(NamedTuple):
-    """A detector by name.
+    """All that is known of a detector, by its name in the settings; it finds or extracts.
 
     Attributes:
-        make: creates it.
-        descriptor: the descriptor that goes with it by default.
+        descriptor: what describes its places by default; of an extractor the only one, if it has a
+            name.
+        find: creates what finds places, for any descriptor; None for an extractor of its own.
+        extract: creates an extractor whose descriptor cannot be chosen; None for a detector.
         algorithm: name of the algorithm in OpenCV that it needs, empty for none.
-        summary: one line of explanation.
+        model: name of the network that it needs, empty for none.
+        matchers: networks that match its features, by `matching.method`.
     """
 
-    make: Callable[[DetectorOptions], Detector]
-    descriptor: str
-    algorithm: str
-    summary: str
+    descriptor: str = ""
+    find: Callable[[FeaturesConfig], Detector] | None = None
+    extract: Callable[[FeaturesConfig], FeatureExtractor] | None = None
+    algorithm: str = ""
+    model: str = ""
+    matchers: Mapping[str, str] = {}
 
 
 def _opencv(
+    name: str,
     algorithm: str,
     descriptor: str,
-    summary: str,
     base_size: float,
-    arguments: Callable[[DetectorOptions], dict[str, Any]] = lambda _: {},
+    arguments: Callable[[FeaturesConfig], dict[str, Any]] = lambda _: {},
     *,
     has_scale: bool = True,
 ) -> DetectorKind:
-    def make(options: DetectorOptions) -> Detector:
-        create = require_algorithm(algorithm, f"detector '{_NAMES[algorithm]}'")
-        given = arguments(options)
+    def find(config: FeaturesConfig) -> Detector:
+        create = require_algorithm(algorithm, f"detector '{name}'")
+        given = arguments(config)
         return OpenCvDetector(lambda: create(**given), base_size=base_size, has_scale=has_scale)
 
-    return DetectorKind(make, descriptor, algorithm, summary)
+    return DetectorKind(descriptor, find, algorithm=algorithm)
+
+
+def _learned(module: str, name: str, model: str, **matchers: str) -> DetectorKind:
+    """A class of `vo.engine.learned`, which is imported when it is used."""
+
+    def extract(config: FeaturesConfig) -> FeatureExtractor:
+        from vo.engine.learned.catalog import find_model
+        from vo.engine.learned.files import require_model
+        from vo.engine.learned.inference import load
+
+        network = load(require_model(find_model(model)), config.backend, config.device)
+        extractor = getattr(import_module(f"vo.engine.learned.{module}"), name)
+        return cast("FeatureExtractor", extractor(network, config.count))
+
+    return DetectorKind(extract=extract, model=model, matchers=matchers)
 
 
 DETECTORS: dict[str, DetectorKind] = {
-    "harris": DetectorKind(
-        lambda options: CornerDetector(options, harris=True),
-        "rbrief",
-        "",
-        "corners by det - k trace^2 of the gradient matrix, on a pyramid",
+    "orb": DetectorKind("rbrief", extract=OrbExtractor),
+    "xfeat": _learned("xfeat", "XFeatExtractor", "xfeat", lighterglue="lighterglue"),
+    "aliked-t16": _learned("aliked", "AlikedExtractor", "aliked-t16"),
+    "aliked": _learned("aliked", "AlikedExtractor", "aliked-t16"),
+    "aliked-n16": _learned("aliked", "AlikedExtractor", "aliked-n16", lightglue="lightglue-aliked"),
+    "disk": _learned("disk", "DiskExtractor", "disk", lightglue="lightglue-disk"),
+    "superpoint": _learned(
+        "superpoint",
+        "SuperPointExtractor",
+        "superpoint",
+        lightglue="lightglue-superpoint",
+        superglue="superglue",
     ),
-    "shi_tomasi": DetectorKind(
-        lambda options: CornerDetector(options, harris=False),
-        "rbrief",
-        "",
-        "corners by the smaller eigenvalue of the gradient matrix, on a pyramid",
-    ),
+    "harris": DetectorKind("rbrief", lambda config: CornerDetector(config.count, harris=True)),
+    "shi_tomasi": DetectorKind("rbrief", lambda config: CornerDetector(config.count, harris=False)),
     "fast": _opencv(
+        "fast",
         "FastFeatureDetector",
         "rbrief",
-        "corners by a ring of brighter or darker pixels, on a pyramid",
         CORNER_SIZE_PX,
-        lambda options: {"threshold": options.threshold},
+        lambda config: {"threshold": config.threshold},
         has_scale=False,
     ),
     "agast": _opencv(
+        "agast",
         "AgastFeatureDetector",
         "rbrief",
-        "FAST with decision trees that adapt to the image, on a pyramid",
         CORNER_SIZE_PX,
-        lambda options: {"threshold": options.threshold},
+        lambda config: {"threshold": config.threshold},
         has_scale=False,
     ),
     "opencv_orb": _opencv(
+        "opencv_orb",
         "ORB",
         "opencv_orb",
-        "OpenCV's ORB: FAST on a pyramid, ranked by Harris, with orientation",
         31.0,
-        lambda options: {"nfeatures": 2 * options.count, "fastThreshold": options.threshold},
+        lambda config: {"nfeatures": 2 * config.count, "fastThreshold": config.threshold},
     ),
-    "sift": _opencv(
-        "SIFT", "rootsift", "extrema of differences of Gaussians, with scale and orientation", 3.2
-    ),
+    "sift": _opencv("sift", "SIFT", "rootsift", 3.2),
     "mser": _opencv(
+        "mser",
         "MSER",
         "sift",
-        "regions that stay the same over many thresholds",
         _REGION_SIZE_PX,
         # OpenCV's defaults (delta 5, 60 pixels, diversity 0.2) find a tenth: too few for odometry.
         lambda _: {"delta": 2, "min_area": _REGION_AREA_PX, "min_diversity": 0.1},
     ),
-    "akaze": _opencv(
-        "AKAZE", "akaze", "blobs of a nonlinear scale space, fast, binary descriptor", 4.8
-    ),
-    "kaze": _opencv("KAZE", "kaze", "blobs of a nonlinear scale space", 4.8),
-    "brisk": _opencv(
-        "BRISK",
-        "brisk",
-        "AGAST on a pyramid with interpolated scale",
-        8.4,
-        lambda options: {"thresh": options.threshold},
-    ),
-    "star": _opencv("StarDetector", "rbrief", "CenSurE: centre-surround blobs", 6.0),
-    "surf": _opencv("SURF", "surf", "blobs by box filters; patented", 15.0),
+    "akaze": _opencv("akaze", "AKAZE", "akaze", 4.8),
+    "kaze": _opencv("kaze", "KAZE", "kaze", 4.8),
+    "brisk": _opencv("brisk", "BRISK", "brisk", 8.4, lambda config: {"thresh": config.threshold}),
+    "star": _opencv("star", "StarDetector", "rbrief", 6.0),
+    "surf": _opencv("surf", "SURF", "surf", 15.0),
 }
-"""Detectors by name, besides `orb`, the built-in extractor of `vo run`."""
-
-_NAMES = {kind.algorithm: name for name, kind in DETECTORS.items() if kind.algorithm}
+"""Detectors by name. A new one needs an entry here, and its name in `DetectorName`."""
 
 
 def available_detectors() -> list[str]:
-    """Names of the detectors that this installation has."""
+    """Names of the detectors for any descriptor that this installation has."""
     return [
-        n for n, kind in DETECTORS.items() if not kind.algorithm or has_algorithm(kind.algorithm)
+        name
+        for name, kind in DETECTORS.items()
+        if kind.find is not None and (not kind.algorithm or has_algorithm(kind.algorithm))
     ]

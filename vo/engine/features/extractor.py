@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import cast
 
 import cv2
 import numpy as np
@@ -16,26 +16,11 @@ from vo.base.feature_settings import OWN_NETWORK
 from vo.base.types import Bytes, Floats32, Keypoints
 from vo.engine.features.descriptors import DESCRIPTORS, Described, Descriptor, make_descriptor
 from vo.engine.features.detections import Detector
-from vo.engine.features.detectors import DETECTORS, DetectorOptions
+from vo.engine.features.detectors import DETECTORS
 from vo.engine.features.pyramid import PyramidDetector
 from vo.engine.features.selection import Selection, select
-from vo.engine.frontend.contracts import DescriptorFormat, FeatureExtractor
-from vo.engine.frontend.orb import OrbExtractor
+from vo.engine.frontend.contracts import DescriptorFormat, FeatureExtractor, PointDescriber
 
-if TYPE_CHECKING:
-    from vo.engine.learned.inference import Inference
-    from vo.engine.learned.xfeat import XFeatExtractor
-
-BUILT_IN = "orb"
-LEARNED_DETECTORS = {
-    "xfeat": "xfeat",
-    "aliked-t16": "aliked-t16",
-    "aliked": "aliked-t16",
-    "aliked-n16": "aliked-n16",
-    "disk": "disk",
-    "superpoint": "superpoint",
-}
-"""Learned detectors, with the name of their model."""
 _CLAHE_CLIP, _CLAHE_TILES = 3.0, (8, 8)
 _MAX_OCTAVE = 24
 _REFINE_HALF_PX = 3
@@ -106,18 +91,17 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
     Raises:
         ConfigError: this build of OpenCV lacks it, or detector and descriptor do not go together.
     """
-    if config.detector == BUILT_IN:
-        if config.descriptor not in ("auto", "rbrief"):
-            raise ConfigError(
-                f"features.detector 'orb' has its own descriptor, not '{config.descriptor}'; "
-                "for FAST corners with another one choose features.detector=fast"
-            )
-        return OrbExtractor(config)
-    if config.detector in LEARNED_DETECTORS:
-        return _learned(config)
     if config.detector.startswith(OWN_NETWORK):
-        return _of_file(config)
+        from vo.engine.learned.own_network import load_own_network
+
+        _check_own_descriptor(config, "")
+        path = Path(config.detector.removeprefix(OWN_NETWORK)).expanduser()
+        return load_own_network(path, config.backend, config.device, config.count)
     kind = DETECTORS[config.detector]
+    if kind.extract is not None:
+        _check_own_descriptor(config, kind.descriptor)
+        return kind.extract(config)
+    assert kind.find is not None
     name = kind.descriptor if config.descriptor == "auto" else config.descriptor
     allowed = DESCRIPTORS[name].detectors
     if allowed and config.detector not in allowed:
@@ -125,60 +109,25 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
             f"descriptor '{name}' needs detector {' or '.join(repr(d) for d in allowed)}, not "
             f"'{config.detector}'; try rootsift or rbrief"
         )
-    detector = kind.make(DetectorOptions(config.count, config.threshold))
+    detector = kind.find(config)
     if not detector.has_scale and config.levels > 1:
         detector = PyramidDetector(detector, config.levels, config.scale_factor)
     return ComposedExtractor(detector, make_descriptor(name, detector.base_size), config)
 
 
-def make_rescuer(config: FeaturesConfig) -> XFeatExtractor:
+def make_rescuer(config: FeaturesConfig) -> PointDescriber:
     """The extractor that `features.rescue` names."""
-    from vo.engine.learned.xfeat import XFeatExtractor
-
     chosen = config.model_copy(update={"detector": config.rescue})
-    return XFeatExtractor(_network(chosen), config.count)
+    return cast("PointDescriber", make_extractor(chosen))
 
 
-def _learned(config: FeaturesConfig) -> FeatureExtractor:
-    from vo.engine.learned.aliked import AlikedExtractor
-    from vo.engine.learned.disk import DiskExtractor
-    from vo.engine.learned.superpoint import SuperPointExtractor
-    from vo.engine.learned.xfeat import XFeatExtractor
-
-    network = _network(config)
-    if config.detector == "xfeat":
-        return XFeatExtractor(network, config.count)
-    if config.detector == "disk":
-        return DiskExtractor(network, config.count)
-    if config.detector == "superpoint":
-        return SuperPointExtractor(network, config.count)
-    return AlikedExtractor(network, config.count)
-
-
-def _of_file(config: FeaturesConfig) -> FeatureExtractor:
-    from vo.engine.learned.own_network import load_own_network
-
-    _check_own_descriptor(config)
-    path = Path(config.detector.removeprefix(OWN_NETWORK)).expanduser()
-    return load_own_network(path, config.backend, config.device, config.count)
-
-
-def _check_own_descriptor(config: FeaturesConfig) -> None:
-    if config.descriptor != "auto":
+def _check_own_descriptor(config: FeaturesConfig, own: str) -> None:
+    if config.descriptor not in ("auto", own):
+        hint = "; for FAST corners with another one choose features.detector=fast" if own else ""
         raise ConfigError(
             f"features.detector '{config.detector}' has its own descriptor, not "
-            f"'{config.descriptor}'"
+            f"'{config.descriptor}'{hint}"
         )
-
-
-def _network(config: FeaturesConfig) -> Inference:
-    from vo.engine.learned.catalog import find_model
-    from vo.engine.learned.files import require_model
-    from vo.engine.learned.inference import load
-
-    _check_own_descriptor(config)
-    path = require_model(find_model(LEARNED_DETECTORS[config.detector]))
-    return load(path, config.backend, config.device)
 
 
 def _equalised(image: Bytes) -> Bytes:

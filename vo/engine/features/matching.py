@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from vo.base.compiling.function import compiled
 from vo.base.config import FeaturesConfig, MatchingConfig, MatchingName
+from vo.base.errors import ConfigError
 from vo.base.types import Descriptors, Floats, Floats32, Ints
+from vo.engine.features.detectors import DETECTORS
 from vo.engine.features.nearest import Nearest, make_search
 from vo.engine.features.opencv import require_function
 from vo.engine.frontend.contracts import (
@@ -25,7 +27,7 @@ from vo.engine.frontend.contracts import (
 from vo.engine.frontend.hamming_kernels import make_grid
 from vo.engine.frontend.matching import HammingMatcher, with_common_rotation
 
-LEARNED_MATCHERS = ("lightglue", "lighterglue", "superglue")
+_LEARNED = ("lightglue", "lighterglue", "superglue")
 _MARGIN_PX = 1e-3  # added to tolerances where whole cells are skipped
 _MAX_BINARY = 0.3  # of the bits: unrelated descriptors differ in half of them
 
@@ -106,16 +108,37 @@ def make_matcher(
         ConfigError: the matcher is made for other features, or its program is not installed.
         ModelError: its model has not been fetched.
     """
-    if config.method in LEARNED_MATCHERS:
-        from vo.engine.learned.matchers import make_learned_matcher
-
-        near = DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
-        return make_learned_matcher(config.method, features, near)
+    if config.method in _LEARNED:
+        return _learned_matcher(config, features)
     method = method_of(config, extractor)
     is_default = extractor.descriptor_format == HammingMatcher.descriptor_format
     if config.method == "auto" and method != "mnn" and config.cross_check and is_default:
         return HammingMatcher(config)
     return DescriptorMatcher(config.model_copy(update={"method": method}))
+
+
+def _learned_matcher(config: MatchingConfig, features: FeaturesConfig | None) -> Matcher:
+    """A network where nothing is predicted, for the features that it was trained with."""
+    from vo.engine.learned import lightglue, superglue
+    from vo.engine.learned.catalog import find_model
+    from vo.engine.learned.files import require_model
+    from vo.engine.learned.inference import load
+
+    name = config.method
+    models = {d: kind.matchers[name] for d, kind in DETECTORS.items() if name in kind.matchers}
+    model = None if features is None else models.get(features.detector)
+    if features is None or model is None:
+        wanted = " or ".join(f"features.detector={each}" for each in models)
+        given = "features of your own" if features is None else f"'{features.detector}'"
+        raise ConfigError(f"matching.method '{name}' needs {wanted}, not {given}")
+    network = load(require_model(find_model(model)), features.backend, features.device)
+    near = DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
+    if name == "superglue":
+        matcher = superglue.SuperGlue(network)
+        return lightglue.AssignmentMatcher(matcher, near, superglue.MIN_PROBABILITY)
+    return lightglue.AssignmentMatcher(
+        lightglue.LightGlue(network), near, lightglue.MIN_PROBABILITY
+    )
 
 
 def method_of(config: MatchingConfig, extractor: FeatureExtractor) -> MatchingName:

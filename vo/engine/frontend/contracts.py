@@ -76,6 +76,16 @@ class FeatureExtractor(Protocol):
         ...
 
 
+class PointDescriber(FeatureExtractor, Protocol):
+    """An extractor that can also describe given pixels."""
+
+    def extract_and_describe(
+        self, image: Bytes, xy: Floats, mask: Bytes | None = None
+    ) -> tuple[Keypoints, Keypoints]:
+        """Features of an (H, W) image outside of where a mask is 0, and pixels (N, 2) as such."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class FeatureSet:
     """What a matcher needs to know of features; rows belong together.

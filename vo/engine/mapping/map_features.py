@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.base.types import Bools, Bytes, Descriptors, Floats, Floats32, Ints, Keypoints
+from vo.base.types import Bools, Descriptors, Floats32, Ints, Keypoints
+from vo.engine.frontend.contracts import PointDescriber
 from vo.engine.geometry.neighbours import far_from
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.lookup import rows_of
-
-
-class PointDescriber(Protocol):
-    """An extractor that can also describe given pixels."""
-
-    def extract_and_describe(
-        self, image: Bytes, xy: Floats, mask: Bytes | None = None
-    ) -> tuple[Keypoints, Keypoints]:
-        """Features of an (H, W) image outside of where a mask is 0, and pixels (N, 2) as such."""
-        ...
 
 
 class KeyframeFeatures(NamedTuple):

@@ -7,11 +7,11 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Bytes, Ints, Keypoints
+from vo.engine.frontend.contracts import PointDescriber
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.keyframe_motion import motion_covariance
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.mapping.local_map import LocalMap
-from vo.engine.mapping.map_features import PointDescriber
 from vo.engine.places.patch_sampling import sampled_patches
 from vo.engine.places.records import PathKeyframe, Place, PlaceKey, PlaceLandmarks
 from vo.engine.places.vocabulary import DESCRIPTOR_BYTES

@@ -12,14 +12,13 @@ from weakref import WeakKeyDictionary
 
 from vo.base.failures import Failure, FailureReason
 from vo.base.types import Keypoints
-from vo.engine.frontend.contracts import Matcher, feature_set
+from vo.engine.frontend.contracts import Matcher, PointDescriber, feature_set
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.map_features import (
     KeyframeFeatures,
     MapFeatures,
-    PointDescriber,
     exchange,
     features_of,
     joined,

@@ -12,23 +12,18 @@ from typing import NamedTuple, Protocol, get_args
 
 import numpy as np
 
-from vo.base.config import DescriptorName, FeaturesConfig, MatchingConfig, MatchingName
+from vo.base.config import (
+    DescriptorName,
+    FeaturesConfig,
+    MatchingConfig,
+    MatchingName,
+)
 from vo.base.errors import ConfigError
 from vo.base.feature_settings import OWN_NETWORK
 from vo.base.types import Bytes, Floats, Keypoints
 from vo.engine.features.detections import Detections, Detector
-from vo.engine.features.detectors import (
-    CORNER_SIZE_PX,
-    DETECTORS,
-    DetectorOptions,
-    available_detectors,
-)
-from vo.engine.features.extractor import (
-    BUILT_IN,
-    LEARNED_DETECTORS,
-    ComposedExtractor,
-    make_extractor,
-)
+from vo.engine.features.detectors import CORNER_SIZE_PX, DETECTORS, available_detectors
+from vo.engine.features.extractor import ComposedExtractor, make_extractor
 from vo.engine.features.matching import make_matcher
 from vo.engine.features.selection import select
 from vo.engine.frontend.contracts import feature_set
@@ -199,7 +194,7 @@ def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -
     written = f"shi_tomasi/{KLT}" if text == KLT else text
     rest, _, matcher = written.partition("/")
     detector, _, descriptor = rest.partition("+")
-    _check(text, detector, (BUILT_IN, *LEARNED_DETECTORS, *DETECTORS, KLT), "detector")
+    _check(text, detector, (*DETECTORS, KLT), "detector")
     if detector == KLT:
         raise ConfigError(f"method '{text}': write {KLT} alone, or DETECTOR/{KLT}")
     _check(text, matcher or "auto", MATCHERS, "matcher")
@@ -237,12 +232,12 @@ def expand(texts: Sequence[str]) -> list[str]:
 def missing_detectors() -> list[str]:
     """Names of the detectors that this installation lacks."""
     available = available_detectors()
-    return [name for name in DETECTORS if name not in available]
+    return [n for n, kind in DETECTORS.items() if kind.find is not None and n not in available]
 
 
 def all_methods() -> list[str]:
     """Every detector with its own descriptor, optical flow, and ORB and SIFT with each matcher."""
-    detectors = [BUILT_IN, *available_detectors(), *fetched_methods()]
+    detectors = ["orb", *available_detectors(), *fetched_methods()]
     return [*detectors, KLT, f"fast/{KLT}", "sift/flann", "sift/ann", "orb/flann", "orb/ann"]
 
 
@@ -250,27 +245,25 @@ def fetched_methods() -> list[str]:
     """Learned features whose model is on this machine, also with the matchers that are."""
     from vo.engine.learned.catalog import find_model
     from vo.engine.learned.files import path_of
-    from vo.engine.learned.matchers import MATCHER_MODELS
 
     def is_here(model: str) -> bool:
         return path_of(find_model(model)).is_file()
 
     # One name for each model: the last of those that have several.
-    detectors = list(
-        {model: n for n, model in LEARNED_DETECTORS.items() if is_here(model)}.values()
-    )
-    return detectors + [
+    learned = {k.model: n for n, k in DETECTORS.items() if k.model and is_here(k.model)}
+    return list(learned.values()) + [
         f"{name}/{matcher}"
-        for name in detectors
-        for matcher, models in MATCHER_MODELS.items()
-        if name in models and is_here(models[name])
+        for name in learned.values()
+        for matcher, model in DETECTORS[name].matchers.items()
+        if is_here(model)
     ]
 
 
 def _corner_detector(text: str, name: str, features: FeaturesConfig) -> Detector:
-    if name not in DETECTORS:
+    find = DETECTORS[name].find
+    if find is None:
         raise ConfigError(f"method '{text}': choose corners such as fast/{KLT} or shi_tomasi/{KLT}")
-    return DETECTORS[name].make(DetectorOptions(features.count, features.threshold))
+    return find(features)
 
 
 def _check(text: str, name: str, known: Sequence[str], what: str) -> None:

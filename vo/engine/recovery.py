@@ -1,0 +1,134 @@
+"""Frames that are not simply tracked: misled, frozen, rescued and lost ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from vo.base.failures import Failure
+from vo.base.types import Floats, State
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.inertial.prediction import InertialPredictor
+from vo.engine.map_creator import MapCreator
+from vo.engine.map_updater import MapUpdater
+from vo.engine.mapping.keyframe import FrameId
+from vo.engine.mapping.tracked_frame import TrackedFrame
+from vo.engine.placement import Placement
+from vo.engine.tracking.frozen_camera import FrozenCamera
+from vo.engine.tracking.rescue import Rescue
+from vo.engine.tracking.tracker import Tracker
+
+_MAX_PREDICTED_S = 1.5  # lost frames that an inertial sensor predicts
+
+
+class LossPolicy:
+    """Gives up after a number of lost frames; later while an inertial sensor predicts the pose."""
+
+    def __init__(self, recover_frames: int, predictor: InertialPredictor | None) -> None:
+        self._recover_frames = recover_frames
+        self._predictor = predictor
+
+    def gives_up(self, lost: Sequence[PreprocessedFrame]) -> bool:
+        """Whether to give up the map after these lost frames."""
+        if len(lost) <= self._recover_frames:
+            return False
+        first_ns, last_ns = lost[0].stamp_ns, lost[-1].stamp_ns
+        if self._predictor is None or last_ns - first_ns >= _MAX_PREDICTED_S * 1e9:
+            return True
+        return not self._predictor.has_samples(first_ns, last_ns)
+
+
+class Recovery:
+    """Decides what to do with frames that mislead, repeat or are lost; knows the state.
+
+    Attributes:
+        state: whether there is a map, and whether the newest frame was tracked in it.
+        segment: number of the segment of the newest frame.
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        rescue: Rescue,
+        creator: MapCreator,
+        updater: MapUpdater,
+        placement: Placement,
+        policy: LossPolicy,
+    ) -> None:
+        self.state = State.STARTING
+        self.segment = 0
+        self._tracker = tracker
+        self._rescue = rescue
+        self._creator = creator
+        self._updater = updater
+        self._placement = placement
+        self._policy = policy
+        self._frozen_camera = FrozenCamera(tracker)
+        self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
+
+    def frames(self, frame: PreprocessedFrame) -> Iterator[PreprocessedFrame]:
+        """Frames to track one after the other: a new one, misled ones before it, lost ones after.
+
+        Those that were misled are forgotten first. A map in which too many were lost is given up,
+        as a new one may hold them.
+        """
+        misled = frame.misled if self._forget(frame.misled) else ()
+        for each in (*misled, frame):
+            yield each
+            if self._policy.gives_up(self._lost):
+                yield from self._start_segment()
+
+    def is_frozen(self, frame: PreprocessedFrame) -> bool:
+        """Whether a frame repeats the one before, although the camera moves."""
+        return self._frozen_camera.is_frozen(frame, self.segment)
+
+    def resume(self, tracked: TrackedFrame) -> list[FrameId]:
+        """The frozen frames before a tracked one that have the last pose after all."""
+        return self._frozen_camera.resume(tracked)
+
+    def track(
+        self, frame: PreprocessedFrame, last_from_cam: Floats | None
+    ) -> tuple[PreprocessedFrame, TrackedFrame | Failure]:
+        """Track a frame with features of either kind; the frame with those of the map's kind.
+
+        Args:
+            frame: the frame.
+            last_from_cam: (4, 4) by sparse image alignment, None without.
+        """
+        is_lost = self.state is State.LOST or self._frozen_camera.has_withheld
+        frame = self._rescue.of_map(frame)
+        tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)
+        if isinstance(tracked, Failure):
+            frame, tracked = self._rescue.track(frame, tracked)
+        if isinstance(tracked, Failure):
+            self.state = State.LOST
+            self._lost.append(frame.of_kind(is_second=False))
+        else:
+            self._found()
+        return frame, tracked
+
+    def start(self, frame: PreprocessedFrame) -> PreprocessedFrame:
+        """Track in a new map from now on; its frame with features of the map's kind."""
+        self._found()
+        return self._rescue.of_map(frame)
+
+    def _found(self) -> None:
+        self.state, self._lost = State.TRACKING, []
+
+    def _forget(self, misled: Sequence[PreprocessedFrame]) -> bool:
+        """Go back to before misled frames; whether that was possible."""
+        if not misled or not self._updater.forget_from(misled[0], self.segment):
+            return False
+        self._placement.forget_from(misled[0].index)
+        self._creator.restart()
+        self.state, self._lost = State.STARTING, []
+        return True
+
+    def _start_segment(self) -> list[PreprocessedFrame]:
+        """Give up the map; the lost frames."""
+        self._updater.apply()
+        frames, self._lost = self._lost, []
+        self._tracker.forget_last_frame()
+        self._creator.restart()
+        self.state = State.STARTING
+        self.segment += 1
+        return frames
