@@ -45,11 +45,8 @@ class Failure(NamedTuple):
     """Why a frame has no pose.
 
     Attributes:
-        reason: what failed.
         value: the number found, where the reason has one.
-        needed: the number that it is compared with.
         defect: of an image, where that is the reason, or may explain it.
-        camera: index of the camera whose image has the defect.
     """
 
     reason: FailureReason
@@ -78,7 +75,6 @@ class Gap(NamedTuple):
     Attributes:
         first_ns: stamp of the last image before.
         last_ns: stamp of the first image after.
-        reason: why the connection was lost.
     """
 
     first_ns: int

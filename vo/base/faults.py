@@ -31,7 +31,6 @@ class Fault(NamedTuple):
     """A fault in one frame, or in a whole recording.
 
     Attributes:
-        kind: what is wrong.
         is_handled: whether its effect was removed or bounded, so that the path can be trusted;
             False if the path may be wrong.
         value: size of the fault, in the unit of its message.

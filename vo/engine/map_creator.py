@@ -19,14 +19,9 @@ class MapCreator:
     """Creates the first map of a segment, from features of the second kind if the first fail.
 
     Args:
-        local_map: the map.
         stereo: creates it of a pair, or of a frame with depth.
-        monocular: creates it of two frames of a single camera.
         second: the same, from features of the second kind.
         rescue: decides whether features of the second kind may help.
-        tracker: tracks the frames before the second one in the new map.
-        updater: optimises the new map.
-        trajectory: stores the poses of these frames.
     """
 
     def __init__(

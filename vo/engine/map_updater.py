@@ -26,13 +26,8 @@ class MapUpdater:
         stopwatch: measures the stage `window`.
 
     Args:
-        local_map: the map.
-        mapper: removes bad landmarks.
         tracker: is moved with the newest keyframe.
         window: optimises the newest keyframes.
-        refiner: estimates corrections of the calibration.
-        trajectory: stores the poses of all keyframes.
-        stopwatch: measures the stages.
     """
 
     def __init__(

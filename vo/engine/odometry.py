@@ -37,14 +37,12 @@ class Odometry:
     The number and speed of threads make no difference to any pose.
 
     Attributes:
-        stopwatch: measures the stages.
         hidden: ratio of the recorded images that masks of the whole run hide, by camera.
         placement: closes loops and uses an inertial sensor, if it is asked to.
         networks: model, device and SHA-256 of each network in use.
 
     Args:
         rig: the cameras, as recorded.
-        config: all settings.
         components: parts to be used instead of the built-in ones.
         optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
 

@@ -47,7 +47,6 @@ class FrameResult(NamedTuple):
     """Result of a frame.
 
     Attributes:
-        frame: the frame.
         tracked: its pose and observations, None where it has none.
         is_keyframe: whether it is to become a keyframe.
         before: the tracked frame before it, or None.

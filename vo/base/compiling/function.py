@@ -60,7 +60,6 @@ class Compiled(Generic[P, R]):
     compiled again when one of them changes.
 
     Args:
-        function: takes and returns arrays, numbers and tuples of them.
         options: of `numba.njit`.
     """
 

@@ -35,9 +35,7 @@ class MachineCode(NamedTuple):
 
     Attributes:
         object_file: in the format of the system's linker.
-        entry: symbol of the function that Python calls.
         environment: symbol of the pointer to Python objects that the code uses.
-        constants: these objects.
     """
 
     object_file: bytes

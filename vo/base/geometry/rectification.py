@@ -36,8 +36,6 @@ class RectifiedRig:
     Attributes:
         fx: focal length along u in pixels.
         fy: focal length along v.
-        cx: principal point, u.
-        cy: principal point, v.
         baseline_m: distance from the left to the right camera, 0 in mono, `VIRTUAL_BASELINE_M` for
             cameras with depth.
         cam0_from_rectified: (4, 4) rotation from the rectified left camera to the recorded cam0.

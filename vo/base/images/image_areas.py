@@ -23,8 +23,6 @@ class ImageArea(NamedTuple):
     """A polygon in the images of some cameras.
 
     Attributes:
-        text: as it was given, for messages.
-        cameras: numbers of the cameras.
         corners: pixels (u, v), which belong to it.
     """
 

@@ -33,9 +33,6 @@ def decode_grey(data: bytes) -> Bytes | None:
     """Pixels of an 8-bit grey image, (H, W).
 
     None for other images and for damaged or unusual ones, which a general decoder must handle.
-
-    Args:
-        data: a complete PNG file.
     """
     header, packed = b"", []
     for kind, content in _chunks(data):

@@ -13,10 +13,7 @@ class ClosedLoop:
         kind: `loop` within a world, `marker` by a marker within a world, `merge` where it connected
             two segments, `repair` across frames where odometry was doubted and loops contradict it,
             `session` to a keyframe of the loaded map.
-        frame: number of the later keyframe's frame.
         earlier_frame: number of the earlier keyframe's frame, in the recording of its session.
-        segment: of the later frame.
-        earlier_segment: of the earlier frame.
         inliers: landmarks that agree; of a marker, keyframes that agree.
         corrected_from: first frame whose causal pose is corrected by it; None at the end of a run.
         correction_m: distance by which the later keyframe was moved in the map frame, in metres, or
@@ -58,7 +55,6 @@ class Relocalisation:
 
     Attributes:
         frame: first frame whose causal pose is in the older world.
-        segment: of that frame.
         keyframe: number of the frame of the newest keyframe that was recognised.
         earlier_frame: number of the frame that it was recognised by, in its own recording.
         loops: number of keyframes that were recognised.
@@ -85,7 +81,6 @@ class MapUse:
     """The loaded map of a run, and which segments were merged with it.
 
     Attributes:
-        file: its path.
         sessions: names of its recordings.
         met: segments of the run that are in the map's world, by the number of their first segment.
         metric_worlds: those of them, of one camera, whose lengths are metres by the map.

@@ -24,9 +24,7 @@ class InertialStates:
         tilt_sigma_deg: of that direction, seen from the sensor.
         velocity_m_s: (x, y, z) in the world of the path.
         gyro_bias_rad_s: (x, y, z) in the frame of the sensor.
-        gyro_bias_sigma_rad_s: of its axes.
         accel_bias_m_s2: (x, y, z) in the frame of the sensor.
-        accel_bias_sigma_m_s2: of its axes.
         misfit: root mean square of the normalised residuals; about 1 or less.
     """
 
@@ -47,7 +45,6 @@ class InertialUse:
     """An inertial sensor of a recording.
 
     Attributes:
-        sensor: its topic or file.
         reason: why nothing was estimated with it, None where something was.
         is_error: whether the reason is an error of the sensor.
         first_frame: number of the frame from which on its states are known, None without.
@@ -57,7 +54,6 @@ class InertialUse:
         time_offset_s: what to add to stamps of images to get the sensor's clock, by the rotations
             of the run; None if these do not show it.
         time_offset_sigma_s: its standard deviation.
-        used_time_offset_s: that with which the states were estimated.
         given_time_offset_s: that of the recording or its calibration.
     """
 

@@ -17,7 +17,6 @@ class PlacedFrames:
         world: (N,) number of the first of the segments that share its world frame.
         is_keyframe: (N,).
         interpolated: (N,) frames that were not tracked but lie between two that were.
-        trajectory: their N poses, smoothed.
         inertial: (N,) 0, or -1 for a pose by the inertial sensor, -2 for its orientation; or None.
     """
 

@@ -12,7 +12,6 @@ class MarkerOutline(NamedTuple):
 
     Attributes:
         frame_index: number of the frame.
-        id: of the marker.
         corners: (4, 2) pixels of the left image of the view.
     """
 
@@ -25,9 +24,7 @@ class MarkerSquare(NamedTuple):
     """A marker in a world.
 
     Attributes:
-        id: of the marker.
         segment: number of the world.
-        first_frame: that shows it.
         corners: (4, 3) in the world of the path, in units of the map.
     """
 

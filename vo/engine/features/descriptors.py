@@ -102,7 +102,6 @@ class OpenCvDescriptor:
     """A descriptor of OpenCV; each thread has an object of its own.
 
     Args:
-        make: creates OpenCV's object.
         finish: changes the descriptors, None to leave them.
         keeps_class: whether it needs the class that its own detector has given.
     """
@@ -165,9 +164,7 @@ class DescriptorKind(NamedTuple):
 
     Attributes:
         algorithm: name of the algorithm in OpenCV that it needs, empty for none.
-        summary: one line of explanation.
         detectors: the detectors that it works with; empty for all.
-        finish: changes OpenCV's descriptors.
     """
 
     algorithm: str

@@ -30,13 +30,7 @@ _SAME_PX = 0.5  # corners that end this near to each other are the same
 
 
 class ComposedExtractor:
-    """Detects, selects, refines and describes; see `vo.engine.frontend.contracts.FeatureExtractor`.
-
-    Args:
-        detector: finds places.
-        descriptor: describes them.
-        config: count, selection and image preparation.
-    """
+    """Detects, selects, refines and describes, as a `FeatureExtractor`."""
 
     def __init__(self, detector: Detector, descriptor: Descriptor, config: FeaturesConfig) -> None:
         self._detector = detector

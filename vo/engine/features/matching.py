@@ -44,9 +44,6 @@ class DescriptorMatcher:
 
     A match is within the search region and at most one octave off, clearly nearer than the second
     (ratio test, Lowe 2004), and, with `cross_check`, the nearest in both directions.
-
-    Args:
-        config: settings.
     """
 
     def __init__(self, config: MatchingConfig) -> None:

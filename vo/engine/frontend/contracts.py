@@ -17,12 +17,7 @@ from vo.base.types import Bytes, Descriptors, Floats, Floats32, Ints, Keypoints
 
 
 class DescriptorFormat(NamedTuple):
-    """Layout of the descriptors of an extractor.
-
-    Attributes:
-        width: elements of a descriptor.
-        dtype: type of an element.
-    """
+    """Layout of the descriptors of an extractor."""
 
     width: int
     dtype: np.dtype[np.generic]

@@ -13,14 +13,7 @@ from vo.engine.frontend.stereo_matching import StereoMatcher
 
 
 class Frontend(NamedTuple):
-    """Extraction, matching and alignment.
-
-    Attributes:
-        extractor: extracts features.
-        matcher: matches features.
-        patches: aligns patches to sub-pixel.
-        stereo: measures disparities.
-    """
+    """Extraction, matching and alignment."""
 
     extractor: FeatureExtractor
     matcher: Matcher

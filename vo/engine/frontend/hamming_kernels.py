@@ -68,7 +68,6 @@ class Grid(NamedTuple):
         starts: (columns * rows + 1,) index in `order` at which each cell begins.
         columns: number of columns.
         rows: number of rows.
-        left: u of the left side of the grid.
         top: v of its upper side.
     """
 

@@ -13,7 +13,6 @@ class LazyFuture(Generic[T]):
     """A result that is computed when it is needed, or in a thread before that.
 
     Args:
-        work: computes the result.
         executor: where to start ahead of time; None never does.
     """
 

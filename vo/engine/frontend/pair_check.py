@@ -75,13 +75,7 @@ def disparity_signs(disparity: Floats, fx: float) -> Signs:
 
 
 class PairCheck:
-    """Checks pairs until their arrangement is certain, which most often takes one.
-
-    Args:
-        rig: the rectified cameras.
-        extractor: extracts features of images that are mirrored or turned for comparison.
-        matcher: matches pairs.
-    """
+    """Checks pairs until their arrangement is certain, which most often takes one."""
 
     def __init__(
         self, rig: RectifiedRig, extractor: FeatureExtractor, matcher: PairMatcher

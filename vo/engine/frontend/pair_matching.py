@@ -51,8 +51,6 @@ class PairMatcher(NamedTuple):
     """Matches features of pairs whose rows may differ by several pixels.
 
     Attributes:
-        matcher: matches descriptors.
-        patches: aligns patches.
         max_disparity_ratio: maximum disparity, ratio of the image width.
     """
 

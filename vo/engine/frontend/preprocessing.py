@@ -37,7 +37,6 @@ class PreprocessedFrame:
 
     Attributes:
         index: number of the frame in its source.
-        stamp_ns: its time.
         images: rectified images (H, W) uint8 by camera, None where one is missing.
         pyramid: images[0] at 1/2, 1/4 and 1/8 of its size.
         features: of each image, inside the pinhole camera's field of view; extracted when they are
@@ -46,7 +45,6 @@ class PreprocessedFrame:
         path: the file that holds the image of camera 0 as recorded, or None.
         vertical_disparity: that of recorded pairs as estimated until this frame, or None.
         corrected: the part of them that is corrected in images[1].
-        faults: faults that the images show.
         repetition: whether the image of camera 0 repeats the one before.
         image_fixed: what stands still in images[0] while the scene moves.
         masks: (H, W) uint8 by camera, 0 where that image is not to be used, or None.
@@ -135,13 +133,9 @@ class FramePreprocessor:
             be needed cost time and change nothing else.
 
     Args:
-        rig: the rectified cameras as calibrated.
-        extractor: extracts features.
-        vertical_disparity: estimates and corrects vertical disparities of pairs.
         pair_check: refuses pairs whose images are exchanged; None for no check.
         masks: parts of all images that are not used; None for none.
         second: extracts features of a second kind; None if there is none.
-        threads: cores to use.
     """
 
     def __init__(

@@ -21,9 +21,7 @@ class RecordedFrame(NamedTuple):
     """A frame as recorded, and what its images were found to be.
 
     Attributes:
-        frame: the frame.
         repetition: whether the image of camera 0 repeats the one before.
-        faults: faults that the images show.
     """
 
     frame: Frame

@@ -56,7 +56,6 @@ class StaticMasks:
         hidden: ratio of the recorded images that is hidden, by camera.
 
     Args:
-        rig: the rectified cameras.
         recorded: masks of the recorded images, by camera.
 
     Raises:

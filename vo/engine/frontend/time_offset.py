@@ -72,9 +72,6 @@ class TimeOffsetEstimator:
 
     Attributes:
         offset_ms: time of right images minus that of left ones, None unless it is certain.
-
-    Args:
-        rig: the rectified cameras.
     """
 
     def __init__(self, rig: RectifiedRig) -> None:

@@ -73,12 +73,6 @@ class VerticalDisparityCorrection:
         faults: vertical disparities that are too large to be corrected.
         points: points of the newest pair, as it was corrected, None if too few agreed.
         matches: all matched points of the newest pair, with rows as calibrated.
-
-    Args:
-        rig: the rectified cameras as calibrated.
-        matcher: matches left and right features.
-        patches: aligns patches.
-        config: stereo settings.
     """
 
     def __init__(

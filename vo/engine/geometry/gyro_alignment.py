@@ -42,7 +42,6 @@ class GyroAlignment:
         gyro_bias: (3,) rad/s.
         residual_rad_s: robust standard deviation of the difference between the rates of both.
         signal_rad_s: RMS of the camera's rate without its mean.
-        count: number of intervals.
     """
 
     time_offset_s: float

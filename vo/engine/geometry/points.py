@@ -35,7 +35,6 @@ class PointViews(NamedTuple):
         xy: (N, 2) undistorted pixels.
         disparity: (N,) pixels, NaN where there is none.
         inverse_sigma: (N,) 1 over the standard deviation of xy.
-        intrinsics: of all cameras.
         focal_baseline: fx * baseline in px m, 0 in mono.
         inverse_sigma_disparity: 1 over the standard deviation of a disparity.
         huber: residual, in standard deviations, from which an observation is weighted down.

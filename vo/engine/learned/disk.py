@@ -30,12 +30,7 @@ _MIN_HEAT = 0.0
 
 
 class DiskExtractor:
-    """Detects and describes DISK features, strongest first.
-
-    Args:
-        inference: the loaded network.
-        count: maximum number of features.
-    """
+    """Detects and describes DISK features, strongest first."""
 
     scale_factor = 1.0
     suits_mutual_matching = True

@@ -36,10 +36,8 @@ class Network(NamedTuple):
     """A network in use, as `summary.json` names it.
 
     Attributes:
-        model: its name.
         runs_in: what computes it, and where.
         device: `cpu`, `cuda`, `tensorrt` or `coreml`.
-        sha256: of its file.
     """
 
     model: str
@@ -97,7 +95,6 @@ class OnnxRuntimeInference:
     """ONNX Runtime, on the first device that works.
 
     Args:
-        path: the ONNX file.
         device: where to compute.
 
     Raises:

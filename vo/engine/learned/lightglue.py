@@ -62,11 +62,6 @@ class AssignmentMatcher:
     Within a search region, and where positions are not known, `near` matches by descriptors alone:
     the network compares how features lie to each other in whole images. Ratio and orientations
     are not used.
-
-    Args:
-        assignment: by the network.
-        near: matches by descriptors.
-        min_probability: of a match.
     """
 
     def __init__(self, assignment: Assignment, near: Matcher, min_probability: float) -> None:

@@ -30,10 +30,7 @@ class OwnExtractor:
     """Detects and describes features by a file of the user's own, strongest first.
 
     Args:
-        inference: the loaded network.
-        name: of the file, for messages.
         channels: of its input, 1 or 3.
-        count: maximum number of features.
 
     Raises:
         ModelError: its outputs are others.

@@ -29,9 +29,6 @@ def superglue_model(weights: dict[str, Tensor]) -> ModelProto:
     `desc0` and `desc1` (1, N or M, C) descriptors. Outputs: `similarity` (1, N, M) products of the
     matching descriptors (equation 7), `bin_score` (1,) the one of features without a match.
 
-    Args:
-        weights: of the matcher.
-
     Raises:
         KeyError: a weight is missing.
     """

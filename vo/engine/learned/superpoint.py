@@ -34,12 +34,7 @@ _MIN_SCORE = 0.005
 
 
 class SuperPointExtractor:
-    """Detects and describes SuperPoint features, strongest first.
-
-    Args:
-        inference: the loaded network.
-        count: maximum number of features.
-    """
+    """Detects and describes SuperPoint features, strongest first."""
 
     scale_factor = 1.0
     suits_mutual_matching = True

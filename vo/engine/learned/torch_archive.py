@@ -39,10 +39,6 @@ _MAX_PICKLE_BYTES = 2**24
 def read_tensors(data: bytes, name: str) -> dict[str, Tensor]:
     """All named tensors of a file; those in a group are named `GROUP.NAME`.
 
-    Args:
-        data: content of the file.
-        name: of the file, for messages.
-
     Raises:
         ModelError: it is not such a file, damaged, or holds something else than tensors.
     """

@@ -33,12 +33,7 @@ _WIDTH = 64
 
 
 class XFeatExtractor:
-    """Detects and describes XFeat features, strongest first.
-
-    Args:
-        inference: the loaded network.
-        count: maximum number of features.
-    """
+    """Detects and describes XFeat features, strongest first."""
 
     descriptor_format = DescriptorFormat(_WIDTH, np.dtype(np.float32))
     scale_factor = 1.0

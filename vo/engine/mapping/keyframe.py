@@ -19,7 +19,6 @@ class FrameId:
 
     Attributes:
         index: number of the frame in the source.
-        stamp_ns: its time.
         segment: number of its segment.
     """
 
@@ -64,12 +63,10 @@ class Keyframe:
 
     Attributes:
         id: number among the keyframes, from 0, never used again.
-        frame: which frame it is.
         slot: index of its image in `LocalMap.images`.
         world_from_cam: (4, 4), changed by optimisation.
         covariance: (6, 6) in the camera's frame, None before the first optimisation.
         cross_covariance: (6, 6) by id of earlier keyframes: rows are errors of this one.
-        keypoints: its features.
         undistorted_xy: (N, 2) ideal pixels of its features.
         free: (N,) features without a landmark.
         landmark: (n,) ids of the landmarks that it observes.

@@ -50,8 +50,6 @@ class _Pair:
     """Matched features of two keyframes; rows of the arrays belong together.
 
     Attributes:
-        older: the older keyframe.
-        newer: the newer keyframe.
         image: (H, W) image of the newer one.
         newer_from_older: (4, 4).
         inverse_depth: 1 over the median depth of the older one's landmarks.
@@ -92,13 +90,7 @@ class _Pair:
 
 
 class KeyframeTriangulator:
-    """Triangulates features of keyframes against those of earlier keyframes.
-
-    Args:
-        local_map: holds the keyframes and receives the landmarks.
-        frontend: matches features and aligns patches.
-        config: settings of the map.
-    """
+    """Triangulates features of keyframes against those of earlier keyframes."""
 
     def __init__(self, local_map: LocalMap, frontend: Frontend, config: MappingConfig) -> None:
         self._map = local_map

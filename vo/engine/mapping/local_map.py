@@ -29,7 +29,6 @@ class LocalMap:
     Landmark arrays have rows in order of id; rows move when landmarks are removed, ids never do.
 
     Attributes:
-        rig: the rectified cameras, with all corrections of their calibration so far.
         keyframes: in time order; their ids are consecutive.
         images: (capacity, H, W) rectified images of camera 0, by `Keyframe.slot`.
         id: (M,) ids of the landmarks.
@@ -45,7 +44,6 @@ class LocalMap:
         found: (M,) frames in which it was found.
 
     Args:
-        rig: the rectified cameras.
         capacity: maximum number of keyframes.
         descriptors: layout of the descriptors of the first kind.
         stores: receive keyframes, see `newest`.

@@ -35,9 +35,6 @@ class LocalMapper:
         stopwatch: measures the stage `map`.
 
     Args:
-        local_map: the map.
-        frontend: matches features and aligns patches.
-        config: settings of the map.
         stopwatch: measures the stage `map`.
     """
 

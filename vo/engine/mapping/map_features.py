@@ -19,9 +19,7 @@ class KeyframeFeatures(NamedTuple):
     """Features of a keyframe.
 
     Attributes:
-        keypoints: its features.
         landmark: (n,) ids of landmarks that it observes.
-        described: these as features.
     """
 
     keypoints: Keypoints
@@ -33,7 +31,6 @@ class MapFeatures(NamedTuple):
     """Features of one kind of a whole map.
 
     Attributes:
-        keypoints: of each keyframe.
         free: (N,) of each keyframe, its features without a landmark.
         octave: (M,) of the landmarks.
         angle: (M,) of the landmarks.

@@ -35,8 +35,6 @@ class StereoTriangulator:
     """Triangulates features with a disparity.
 
     Args:
-        local_map: receives the landmarks.
-        frontend: measures disparities.
         max_new: maximum number of landmarks per frame.
     """
 

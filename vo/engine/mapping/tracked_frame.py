@@ -56,7 +56,6 @@ class TrackedFrame:
     Attributes:
         world_from_cam: (4, 4).
         ids: (n,) increasing ids of the observed landmarks.
-        observed: the n observations.
         inlier: (n,) observations that agree with the pose.
         in_view: number of landmarks that should be in the image.
         velocity: for which the observations were corrected; None with a global shutter.

@@ -22,7 +22,6 @@ class DisparityCorrection(NamedTuple):
     """Bias of all disparities, to be subtracted.
 
     Attributes:
-        offset_px: constant.
         curve_px: at one focal length from the principal point, growing with the square.
         is_yaw: whether the cause is a yaw of the right camera.
     """
@@ -49,8 +48,6 @@ class CalibrationRefiner:
     """Estimates corrections: of the disparity bias in stereo, of the lens in mono.
 
     Args:
-        rig: the rectified cameras as calibrated.
-        config: settings.
         has_depth: whether disparities are those of a depth camera, which has other errors.
     """
 

@@ -20,14 +20,6 @@ class LensCheck:
 
     A lens that is quite another one than calibrated, such as a distorted one taken for ideal,
     leaves it, even where other estimates from windows cancel.
-
-    Attributes:
-        corner_px: shift of points at the image corners.
-
-    Args:
-        rig: the rectified cameras as calibrated.
-        power: of the radius with which the shift grows.
-        min_px: smallest shift that is significant.
     """
 
     def __init__(self, rig: RectifiedRig, *, power: int, min_px: float) -> None:

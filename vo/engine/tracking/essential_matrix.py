@@ -20,13 +20,7 @@ _SAME_PX = 3.0  # maximum distance of a landmark from the feature that it is see
 
 
 class EssentialMatrixFallback:
-    """Motion from an essential matrix; its scale comes from landmarks of the map.
-
-    Args:
-        local_map: holds the landmarks.
-        matcher: matches features of two frames.
-        config: settings of two-view geometry.
-    """
+    """Motion from an essential matrix; its scale comes from landmarks of the map."""
 
     def __init__(self, local_map: LocalMap, matcher: Matcher, config: StartConfig) -> None:
         self._map = local_map

@@ -29,11 +29,7 @@ _MAX_START_RATIO = 1.2  # of the motion in the first frame after a stop to that 
 
 
 class FrozenCamera:
-    """Withholds poses from repeated images of a moving camera.
-
-    Args:
-        tracker: knows the motion.
-    """
+    """Withholds poses from repeated images of a moving camera."""
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker

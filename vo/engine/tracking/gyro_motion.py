@@ -25,7 +25,6 @@ class GyroMotion(MotionModel):
     bias is the mean difference to these rotations.
 
     Args:
-        reader: gives the samples.
         imu_from_cam: (4, 4) of the rectified camera.
     """
 

@@ -16,10 +16,6 @@ class InertialMotion(MotionModel):
 
     So nothing changes where no frame is lost: a path of two cameras has the same bytes with and
     without the sensor.
-
-    Args:
-        usual: predicts while frames are tracked.
-        predictor: knows velocity, gravity and biases.
     """
 
     def __init__(self, usual: MotionModel, predictor: InertialPredictor) -> None:

@@ -24,7 +24,6 @@ class Change(NamedTuple):
     """Change since the last keyframe.
 
     Attributes:
-        tracked: landmarks tracked now.
         last_tracked: landmarks of the last keyframe, limited in rich scenes, where not all of them
             can be tracked.
         parallax_rad: median angle between the rays to landmarks, now and at the last keyframe.

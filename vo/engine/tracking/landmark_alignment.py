@@ -29,8 +29,6 @@ class LandmarkAligner:
     """Finds landmarks in a frame to sub-pixel.
 
     Args:
-        local_map: holds the landmarks.
-        frontend: aligns patches and measures disparities.
         min_inliers: minimum number of landmarks of a tracked frame.
     """
 

@@ -13,7 +13,6 @@ class LastFrame(NamedTuple):
     """A tracked frame and the landmarks in it.
 
     Attributes:
-        frame: the frame.
         ids: (n,) increasing ids of the landmarks.
         image_xy: (n, 2) where they were found.
         inlier: (n,) whether they agreed with the pose.

@@ -40,7 +40,6 @@ class InitialPair:
         query: (N,) matched features of the first frame.
         image_xy: (N, 2) their pixels in the second frame.
         xy: (N, 2) the same as ideal pixels.
-        two_view: their reconstruction.
     """
 
     reference: PreprocessedFrame
@@ -58,10 +57,6 @@ class MonocularInitializer:
         waiting: the frames since the reference frame, newest last.
 
     Args:
-        local_map: the map.
-        mapper: adds keyframes to it.
-        frontend: matches features and aligns patches.
-        config: settings.
         search_ratio: radius of the search windows in tracking, ratio of the image width.
         by_flow: whether features are followed by optical flow instead of being matched.
         turns: receives the rotations between images, None without an inertial sensor.

@@ -20,9 +20,7 @@ class PoseEstimator:
     """Estimates poses from landmarks of the map.
 
     Args:
-        local_map: holds the landmarks.
         sigma_disparity_px: standard deviation of a disparity.
-        config: tracking settings.
     """
 
     def __init__(

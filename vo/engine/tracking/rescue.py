@@ -42,7 +42,6 @@ class Kinds(NamedTuple):
     """Extractors of both kinds.
 
     Attributes:
-        first: used as long as it works.
         second: used where the first one fails.
     """
 
@@ -54,9 +53,6 @@ class Rescue:
     """Decides which kind of features a map has.
 
     Args:
-        local_map: the map.
-        tracker: tracks frames in it.
-        matcher: matches features of both kinds.
         kinds: the extractors; None without a second kind, so that nothing is ever rescued.
         min_matches: matches that a first map needs.
     """

@@ -39,10 +39,6 @@ class RollingShutter:
     two of them it would amplify noise by 2.5 instead of 1.6, and wrong stamps are noise, too. Where
     images have confirmed a gyroscope, it gives the rotation. A frame that has become a keyframe is
     corrected once more with the motion after it. Nothing is done with a global shutter.
-
-    Args:
-        local_map: holds landmarks and keyframes.
-        motion: knows the last pose, and perhaps a gyroscope.
     """
 
     def __init__(self, local_map: LocalMap, motion: MotionModel) -> None:

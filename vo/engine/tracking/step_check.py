@@ -46,7 +46,6 @@ class Step(NamedTuple):
         stamp_ns: time of the frame.
         last: (4, 4) world_from_cam of the last tracked frame.
         predicted: (4, 4) of the frame, by the motion before.
-        tracked: the frame's pose.
     """
 
     stamp_ns: int

@@ -16,8 +16,6 @@ class StereoInitializer:
     """Starts a map from the disparities of one frame.
 
     Args:
-        local_map: the map.
-        mapper: adds keyframes and landmarks to it.
         min_points: minimum number of landmarks of the map.
     """
 

@@ -58,14 +58,6 @@ class Tracker:
         last: the last tracked frame, None before the first of a segment.
         knows_velocity: whether two frames of the segment have been tracked.
         stopwatch: counts stages `match` and `align`.
-
-    Args:
-        local_map: the map.
-        frontend: matches features and aligns patches.
-        motion: predicts poses.
-        config: tracking settings.
-        start: settings of two-view geometry, for the essential matrix.
-        stopwatch: measures the stages.
     """
 
     def __init__(
