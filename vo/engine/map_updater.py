@@ -6,9 +6,12 @@ import numpy as np
 
 from vo.base.faults import Fault
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
+from vo.base.records.calibration_errors import CalibrationErrors, LensError
 from vo.base.stopwatch import Stopwatch, timed
 from vo.engine.backend.sliding_window import SlidingWindow, WindowUpdate
 from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.geometry.k1_error import edge_shift_px
+from vo.engine.geometry.right_camera_error import right_camera_error
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
@@ -55,6 +58,18 @@ class MapUpdater:
     def faults(self) -> tuple[Fault, ...]:
         """Errors of the calibration that are known now and cannot be corrected."""
         return self._refiner.faults
+
+    @property
+    def calibration_errors(self) -> CalibrationErrors:
+        """Errors of the calibration that were found and are corrected."""
+        rig = self._map.rig
+        k1 = rig.k1_error
+        return CalibrationErrors(
+            disparity_offset_px=rig.disparity_offset_px,
+            disparity_curve_px=rig.disparity_curve_px,
+            right_camera=right_camera_error(self.corrected, rig),
+            lens_error=LensError(k1, edge_shift_px(rig, k1)) if k1 != 0.0 else None,
+        )
 
     def follow(self, frame: PreprocessedFrame) -> None:
         """Adapt the map to what is corrected, and uncertain, in the images of a frame."""

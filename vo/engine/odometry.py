@@ -23,7 +23,6 @@ from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.learned.inference import networks_used
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.tracked_frame import TrackedFrame, as_tracked_frame
-from vo.engine.refinement.corrected_errors import corrected_errors
 from vo.engine.snapshot import FrameResult, make_estimate, make_snapshot
 from vo.engine.stages import BUILT_IN, Components, make_stages
 from vo.engine.trajectory.map_frame import Anchor
@@ -77,7 +76,6 @@ class Odometry:
         self._updater = stages.updater
         self._trajectory = stages.trajectory
         self.placement = stages.placement
-        self._config = config
         self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
         self._result: FrameResult | None = None  # of the newest frame
         self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
@@ -131,13 +129,12 @@ class Odometry:
     @property
     def calibration_errors(self) -> CalibrationErrors:
         """Errors of the calibration that were found and are corrected."""
-        return corrected_errors(self._map.rig, self._updater.corrected)
+        return self._updater.calibration_errors
 
     def snapshot(self) -> Snapshot:
         """The newest frame and the local map for display, before the next frame is tracked."""
-        result, sigma_px = self._newest, self._config.stereo.sigma_disparity_px
         anchor = self.trajectory.anchor(self._recovery.segment)
-        return make_snapshot(result, self._map, sigma_px, anchor, has_moved=self._has_moved)
+        return make_snapshot(self._newest, self._map, anchor, has_moved=self._has_moved)
 
     @property
     def _newest(self) -> FrameResult:

@@ -9,7 +9,6 @@ import numpy as np
 
 from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault, FaultKind
-from vo.base.geometry.projection import PixelObservations
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import (
     Estimate,
@@ -26,12 +25,10 @@ from vo.base.types import (
 from vo.engine.frontend.image_quality import explained
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.neighbours import far_from
-from vo.engine.geometry.point_uncertainty import position_sigma
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.lookup import rows_of
-from vo.engine.mapping.tracked_frame import TrackedFrame
-from vo.engine.tracking.last_frame import LastFrame
+from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
 from vo.engine.tracking.motion_model import PosePrior
 from vo.engine.trajectory.map_frame import Anchor
 
@@ -118,7 +115,6 @@ def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
 def make_snapshot(
     result: FrameResult,
     local_map: LocalMap,
-    sigma_disparity_px: float,
     anchor: Anchor | None,
     *,
     has_moved: bool,
@@ -128,12 +124,11 @@ def make_snapshot(
     Args:
         result: of the frame.
         local_map: the map.
-        sigma_disparity_px: standard deviation of a disparity.
         anchor: places the local map in the map frame; None before any loop.
         has_moved: whether keyframes were added or moved.
     """
     keyframe = result.keyframe
-    landmarks = _landmarks(local_map, sigma_disparity_px) if has_moved else None
+    landmarks = _landmarks(local_map) if has_moved else None
     if landmarks is not None and anchor is not None:
         sigma = None if landmarks.sigma is None else anchor.scale * landmarks.sigma
         landmarks = replace(landmarks, xyz=anchor.transform_points(landmarks.xyz), sigma=sigma)
@@ -189,7 +184,7 @@ def _view(result: FrameResult, local_map: LocalMap) -> View:
     )
 
 
-def _landmarks(local_map: LocalMap, sigma_disparity_px: float) -> Landmarks:
+def _landmarks(local_map: LocalMap) -> Landmarks:
     """The map's points, with the grey levels of their patches and their uncertainty."""
     keyframes, rig = local_map.keyframes, local_map.rig
     if not keyframes:
@@ -197,26 +192,11 @@ def _landmarks(local_map: LocalMap, sigma_disparity_px: float) -> Landmarks:
     u, v = np.rint(local_map.reference_xy).astype(np.int64).T
     height, width = local_map.images.shape[1:]
     slots = local_map.reference_slots()
-    number, row = local_map.observation_rows()
-    sigma = position_sigma(
-        local_map.xyz,
-        np.stack([k.world_from_cam[:3, 3] for k in keyframes]),
-        row,
-        number,
-        PixelObservations(
-            np.concatenate([k.xy for k in keyframes]),
-            np.concatenate([k.disparity for k in keyframes]),
-            np.concatenate([k.sigma_px for k in keyframes]),
-            sigma_disparity_px,
-        ),
-        rig.fx,
-        rig.fx * rig.baseline_m,
-    )
     return Landmarks(
         ids=local_map.id.copy(),
         xyz=transform_points(rig.cam0_from_rectified, local_map.xyz),
         grey=local_map.images[slots, v.clip(0, height - 1), u.clip(0, width - 1)],
-        sigma=sigma,
+        sigma=local_map.position_sigma(np.arange(len(local_map))),
         # Arrays of a keyframe are replaced, never changed, so that they need no copy.
         sightings=tuple(Sightings(k.frame.index, k.landmark, k.image_xy) for k in keyframes),
     )

@@ -35,7 +35,7 @@ from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.inertial.samples import InertialSensor, RetimedSensor, SampleReader
-from vo.engine.map_creator import MapCreator
+from vo.engine.map_creator import MapCreator, StereoInitializer
 from vo.engine.map_updater import MapUpdater
 from vo.engine.mapping.keyframe_store import KeyframeStore
 from vo.engine.mapping.local_map import LocalMap
@@ -44,12 +44,10 @@ from vo.engine.placement import Placement
 from vo.engine.recovery import LossPolicy, Recovery
 from vo.engine.refinement.calibration_refiner import CalibrationRefiner
 from vo.engine.tracking.inertial_motion import InertialMotion
-from vo.engine.tracking.keyframe_forecast import KeyframeForecast
-from vo.engine.tracking.keyframe_policy import KeyframePolicy
+from vo.engine.tracking.keyframe_policy import KeyframeForecast, KeyframePolicy
 from vo.engine.tracking.monocular_initializer import MonocularInitializer
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
 from vo.engine.tracking.rescue import Kinds, Rescue
-from vo.engine.tracking.stereo_initializer import StereoInitializer
 from vo.engine.tracking.tracker import Tracker
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
@@ -285,8 +283,7 @@ def _frontend(config: Config, components: Components, second: FeatureExtractor |
         extractor = extractor or make_extractor(features)
         matcher = matcher or make_matcher(matching, extractor, own)
     if second is not None:
-        from vo.engine.features.kinds import MatcherOfKinds
-        from vo.engine.features.matching import make_matcher
+        from vo.engine.features.matching import MatcherOfKinds, make_matcher
 
         usual = matcher or HammingMatcher(matching)
         matcher = MatcherOfKinds(usual, make_matcher(matching, second))

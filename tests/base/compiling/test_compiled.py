@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -98,6 +99,21 @@ def program(folder: Path, module: str = MODULE, helper: str = HELPER) -> list[st
     return done.stdout.splitlines()
 
 
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the module has been run, and its functions compiled."""
+    folder = tmp_path_factory.mktemp("compiled")
+    assert program(folder) == ["True", RESULT]
+    return folder
+
+
+@pytest.fixture
+def folder(compiled_once: Path, tmp_path: Path) -> Path:
+    """A copy of that folder."""
+    shutil.copytree(compiled_once, tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
 class Ring(NamedTuple):
     points: Any
     radius: Any
@@ -110,10 +126,9 @@ def area(a: Any, b: Any) -> Any:
     return total
 
 
-def test_the_second_process_does_without_numba(tmp_path: Path) -> None:
-    assert program(tmp_path) == ["True", RESULT]
-    files = set((tmp_path / "vo").iterdir())
-    assert program(tmp_path)[-1] == RESULT
+def test_the_second_process_does_without_numba(folder: Path) -> None:
+    files = set((folder / "vo").iterdir())
+    assert program(folder)[-1] == RESULT
     assert {f.name.partition("-")[0] for f in files} == {
         "vo_module.moved",
         "vo_module.divided",
@@ -121,8 +136,8 @@ def test_the_second_process_does_without_numba(tmp_path: Path) -> None:
     }
     # Only the exception, of which the text is kept by numba, has it loaded.
     quiet = MODULE.replace("vo_module.divided(1.0, 0.0)", "raise ZeroDivisionError")
-    assert program(tmp_path, quiet) == ["False", RESULT]
-    assert set((tmp_path / "vo").iterdir()) == files
+    assert program(folder, quiet) == ["False", RESULT]
+    assert set((folder / "vo").iterdir()) == files
 
 
 @pytest.mark.parametrize(
@@ -135,21 +150,19 @@ def test_the_second_process_does_without_numba(tmp_path: Path) -> None:
     ids=["a constant of another module", "a function of another module", "the function itself"],
 )
 def test_what_has_changed_is_compiled_anew(
-    tmp_path: Path, module: str, helper: str, result: str
+    folder: Path, module: str, helper: str, result: str
 ) -> None:
-    program(tmp_path)
-    before = {f.name for f in (tmp_path / "vo").glob("vo_module.moved-*")}
-    assert program(tmp_path, module, helper)[-1].startswith(result)
-    after = {f.name for f in (tmp_path / "vo").glob("vo_module.moved-*")}
+    before = {f.name for f in (folder / "vo").glob("vo_module.moved-*")}
+    assert program(folder, module, helper)[-1].startswith(result)
+    after = {f.name for f in (folder / "vo").glob("vo_module.moved-*")}
     assert len(before) == len(after) == 1
     assert before != after  # and the old one is gone
 
 
-def test_comments_and_lines_do_not_matter(tmp_path: Path) -> None:
-    program(tmp_path)
+def test_comments_and_lines_do_not_matter(folder: Path) -> None:
     module = MODULE.replace("    result = np", "    # half of it\n\n    result = np")
     module = module.replace("vo_module.divided(1.0, 0.0)", "raise ZeroDivisionError")
-    assert program(tmp_path, module) == ["False", RESULT]
+    assert program(folder, module) == ["False", RESULT]
 
 
 def damage_by_cutting(data: bytes) -> bytes:
@@ -161,13 +174,12 @@ def damage_by_a_bit(data: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("damage", [damage_by_cutting, damage_by_a_bit, lambda data: b""])
-def test_a_damaged_file_is_made_again(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
-    program(tmp_path)
-    files = {f: f.stat().st_size for f in (tmp_path / "vo").iterdir()}
+def test_a_damaged_file_is_made_again(folder: Path, damage: Callable[[bytes], bytes]) -> None:
+    files = {f: f.stat().st_size for f in (folder / "vo").iterdir()}
     for file in files:
         file.write_bytes(damage(file.read_bytes()))
-    assert program(tmp_path) == ["True", RESULT]
-    assert {f: f.stat().st_size for f in (tmp_path / "vo").iterdir()} == files
+    assert program(folder) == ["True", RESULT]
+    assert {f: f.stat().st_size for f in (folder / "vo").iterdir()} == files
 
 
 def test_nothing_is_kept_where_nothing_can_be_written(kept: Path) -> None:

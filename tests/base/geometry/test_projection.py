@@ -14,6 +14,7 @@ from vo.base.geometry.projection import (
     project,
     to_camera,
 )
+from vo.base.geometry.quantiles import median, percentiles
 from vo.base.geometry.transforms import inverse, se3_exp, transform_points
 from vo.base.types import Floats
 
@@ -90,3 +91,20 @@ def test_derivatives_by_the_inverse_pose() -> None:
         )
         expected = (ahead - behind)[:2] / (2.0 * STEP)
         assert rows[:, k] == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("shape", [1, 2, 7, 100, (3, 4)])
+def test_quantiles_equal_those_of_numpy(shape: int | tuple[int, ...]) -> None:
+    values = np.random.default_rng(0).normal(size=shape)
+    assert median(values) == np.median(values)
+    np.testing.assert_allclose(
+        percentiles(values, (0, 5, 50, 95, 100)),
+        np.percentile(values, (0, 5, 50, 95, 100)),
+        rtol=1e-14,
+    )
+
+
+def test_quantiles_of_lists_and_integers() -> None:
+    assert median([3, 1, 2, 10]) == 2.5
+    assert median(np.array([200, 250], np.uint8)) == 225.0
+    assert percentiles(np.array([[0, 200], [100, 0]], np.uint8), (50,)) == [50.0]

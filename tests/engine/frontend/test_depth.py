@@ -7,7 +7,7 @@ import pytest
 
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.types import Camera, Floats32, Rig
-from vo.engine.frontend.depth import disparity_from_depth
+from vo.engine.frontend.stereo_matching import disparity_from_depth
 
 CAMERA = Camera(64, 48, 50.0, 51.0, 31.5, 23.5)
 RIG = rectified_rig(Rig(CAMERA, has_depth=True))

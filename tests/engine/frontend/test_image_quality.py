@@ -14,6 +14,7 @@ from vo.base.faults import FaultKind
 from vo.base.types import Bytes
 from vo.cli.app import app
 from vo.engine.frontend.image_quality import image_defect, noise_level
+from vo.engine.frontend.image_size import size_faults
 from vo.engine.frontend.sharpness import BlurDetector, blur
 
 SIZE = (120, 160)
@@ -111,3 +112,15 @@ def test_a_recording_that_is_blurred_throughout_is_a_fault(scene: Bytes) -> None
     (fault,) = detector.faults
     assert (fault.kind, fault.is_handled) == (FaultKind.BLURRED_IMAGES, False)
     assert fault.value > 0.6
+
+
+@pytest.mark.parametrize("size", [(160, 100), (224, 140), (306, 92), (429, 130)])
+def test_small_images_are_not_to_be_trusted(size: tuple[int, int]) -> None:
+    (fault,) = size_faults(size[0] * size[1])
+    assert fault.kind is FaultKind.SMALL_IMAGES and not fault.is_handled
+    assert fault.value == pytest.approx(1e-3 * size[0] * size[1])
+
+
+@pytest.mark.parametrize("size", [(320, 200), (320, 240), (640, 400)])
+def test_usual_images_are_no_fault(size: tuple[int, int]) -> None:
+    assert size_faults(size[0] * size[1]) == ()

@@ -4,7 +4,7 @@ import numpy as np
 
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import se3_exp, transform_points
-from vo.engine.geometry.epipolar_segments import epipolar_segments
+from vo.engine.geometry.epipolar import epipolar_segments
 
 INTRINSICS = Intrinsics(500.0, 480.0, 320.0, 200.0)
 MOTION = se3_exp(np.array([0.02, -0.1, 0.01, 0.3, -0.1, -2.0]))  # 2 m ahead

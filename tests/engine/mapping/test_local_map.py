@@ -12,6 +12,7 @@ from vo.base.types import Camera, Floats, Ints, Keypoints, Rig
 from vo.engine.frontend.contracts import DescriptorFormat
 from vo.engine.mapping.keyframe import FrameId, Keyframe, without_disparity
 from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.lookup import rows_of
 
 CAPACITY, HEIGHT, WIDTH = 3, 4, 6
 RIG = rectified_rig(Rig(Camera(WIDTH, HEIGHT, 5.0, 5.0, 2.5, 1.5)))
@@ -231,3 +232,14 @@ def test_any_capacity_works(capacity: int) -> None:
         _landmarks(local_map, _keyframe(local_map, number), 2)
     assert [k.id for k in local_map.keyframes] == list(range(20 - capacity, 20))
     assert len(local_map) == 2 * capacity
+
+
+IDS = st.integers(0, 60)
+
+
+@settings(deadline=None)
+@given(st.sets(IDS), st.lists(IDS))
+def test_every_id_is_found_where_it_is_and_no_other(known: set[int], wanted: list[int]) -> None:
+    place = {landmark: row for row, landmark in enumerate(sorted(known))}
+    rows = rows_of(np.array(wanted, np.int64), np.array(sorted(known), np.int64))
+    assert rows.tolist() == [place.get(landmark, -1) for landmark in wanted]

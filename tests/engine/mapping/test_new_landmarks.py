@@ -18,10 +18,9 @@ from vo.engine.frontend.preprocessing import FramePreprocessor, PreprocessedFram
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.engine.geometry.neighbours import far_from
 from vo.engine.mapping.keyframe import Keyframe, without_disparity
-from vo.engine.mapping.keyframe_triangulation import KeyframeTriangulator
+from vo.engine.mapping.keyframe_triangulation import KeyframeTriangulator, StereoTriangulator
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
-from vo.engine.mapping.stereo_triangulation import StereoTriangulator
 
 WIDTH, HEIGHT, FOCAL = 480, 320, 380.0
 BASELINE_M = 0.25

@@ -6,9 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from recorded_walk import track
+from recorded_walk import Recording, Run, track
 
 from vo.base.config import Config
+from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.similarity import umeyama
 from vo.base.types import Bytes, Frame
 from vo.recordings.sources.registry import open_source
@@ -42,3 +43,30 @@ def test_no_step_is_larger_than_the_true_ones_by_much(shared_data: Path) -> None
     errors = np.linalg.norm(fit.transform_points(path.positions) - true_xyz, axis=1)
     assert float(np.sqrt(np.mean(errors**2))) < 0.01
     assert float(np.linalg.norm(np.diff(path.positions, axis=0), axis=1).max()) < 0.06
+
+
+def woven(frame: Frame, later: Frame) -> Frame:
+    """Odd rows of the next frame."""
+
+    def image(now: Bytes | None, after: Bytes | None) -> Bytes | None:
+        if now is None or after is None:
+            return now
+        result = now.copy()
+        result[1::2] = after[1::2]
+        return result
+
+    return replace(frame, images=tuple(map(image, frame.images, later.images)))
+
+
+def interlaced(run: Run) -> list[Fault]:
+    faults = [fault for e in run.estimates for fault in e.faults]
+    return [fault for fault in faults if fault.kind is FaultKind.INTERLACED_IMAGES]
+
+
+def test_interlaced_frames_are_reported_and_clean_ones_are_not(recording: Recording) -> None:
+    clean = recording.frames[:9]
+    frames = [woven(*pair) for pair in zip(clean[:-1], clean[1:], strict=True)]
+    faults = interlaced(track(recording.rig, frames))
+    assert len(faults) == 4  # from the second image examined on
+    assert not any(fault.is_handled for fault in faults)
+    assert not interlaced(track(recording.rig, clean))

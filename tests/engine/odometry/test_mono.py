@@ -23,11 +23,6 @@ def test_mono_errs_by_less_than_a_hundredth_of_the_path(mono: Run, recording: Re
     assert ate < 0.01 * recording.path_m
 
 
-def test_mono_is_bit_identical_when_run_again(mono: Run, recording: Recording) -> None:
-    again = track(recording.mono_rig, recording.mono())
-    np.testing.assert_array_equal(again.path, mono.path)
-
-
 def test_frames_before_the_mono_start_have_a_failure(mono: Run) -> None:
     for estimate in mono.estimates:
         assert (estimate.failure is not None) == (estimate.state is State.STARTING)

@@ -26,13 +26,20 @@ def located(rig: Rig, frames: Iterable[Frame]) -> tuple[list[Estimate], Odometry
     return estimates, odometry
 
 
-@pytest.mark.parametrize("cameras", [1, 2])
+@pytest.fixture(scope="module")
+def located_stereo(recording: Recording) -> tuple[list[Estimate], Odometry]:
+    return located(recording.rig, recording.frames)
+
+
+@pytest.mark.parametrize("kind", ["mono", "stereo"])
 def test_poses_at_once_have_the_same_bits(
-    cameras: int, recording: Recording, mono: Run, stereo: Run
+    kind: str, recording: Recording, request: pytest.FixtureRequest
 ) -> None:
-    run = stereo if cameras == 2 else mono
-    rig = recording.rig if cameras == 2 else recording.mono_rig
-    estimates, odometry = located(rig, recording.frames if cameras == 2 else recording.mono())
+    run: Run = request.getfixturevalue(kind)
+    if kind == "stereo":
+        estimates, odometry = request.getfixturevalue("located_stereo")
+    else:
+        estimates, odometry = located(recording.mono_rig, recording.mono())
     for estimate, expected in zip(estimates, run.estimates, strict=True):
         assert estimate.is_keyframe == expected.is_keyframe
         if expected.world_from_cam0 is None:
@@ -44,8 +51,10 @@ def test_poses_at_once_have_the_same_bits(
     np.testing.assert_array_equal(path.world_from_cam, expected_path.world_from_cam)
 
 
-def test_keyframes_come_with_the_next_estimate(recording: Recording, stereo: Run) -> None:
-    estimates, _ = located(recording.rig, recording.frames)
+def test_keyframes_come_with_the_next_estimate(
+    located_stereo: tuple[list[Estimate], Odometry],
+) -> None:
+    estimates, _ = located_stereo
     added = [e.frame_index for e in estimates[1:] if e.is_keyframe]
     assert len(added) >= 2
     for before, estimate in zip(estimates, estimates[1:], strict=False):

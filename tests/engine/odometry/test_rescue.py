@@ -130,14 +130,12 @@ def test_the_first_kind_is_used_again_where_it_works(
     assert all(kinds[:12]) and not any(kinds[25:])
 
 
-@pytest.mark.parametrize("threads", [1, 3])
 def test_the_same_bits_with_any_number_of_threads(
-    recording: Recording, patches: GreyPatches, threads: int
+    recording: Recording, patches: GreyPatches
 ) -> None:
     frames = [faint(f) for f in recording.frames[:12]]
-    expected = track(recording.rig, frames, RESCUED)
-    run = track(recording.rig, frames, RESCUED.model_copy(update={"threads": threads}))
-    assert run.path.tobytes() == expected.path.tobytes()
+    configs = [RESCUED.model_copy(update={"threads": threads}) for threads in (1, 1, 3)]
+    assert len({track(recording.rig, frames, each).path.tobytes() for each in configs}) == 1
 
 
 def test_features_that_are_put_back_are_as_before(

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from vo.base.config import KeyframeConfig
-from vo.engine.tracking.keyframe_forecast import KeyframeForecast
-from vo.engine.tracking.keyframe_policy import Change, KeyframePolicy
+from vo.engine.tracking.keyframe_policy import Change, KeyframeForecast, KeyframePolicy
 
 CONFIG = KeyframeConfig(min_tracked_ratio=0.75, min_parallax_deg=1.5, max_gap_s=1.0)
 

@@ -7,7 +7,7 @@ import pytest
 
 from vo.base.faults import Fault, FaultKind
 from vo.engine.mapping.tracked_frame import Observations, TrackedFrame
-from vo.engine.tracking.map_agreement import MapAgreement
+from vo.engine.tracking.step_check import MapAgreement
 
 
 def tracked(in_view: int, found: int, inliers: int) -> TrackedFrame:

@@ -7,7 +7,7 @@ import pytest
 
 from vo.base.geometry.transforms import se3_exp, transform_points
 from vo.base.types import Floats
-from vo.engine.tracking.scale import scale_from_points
+from vo.engine.tracking.essential_matrix import scale_from_points
 
 
 def _step(length: float) -> tuple[Floats, Floats, Floats]:

@@ -17,13 +17,12 @@ from vo.engine.frontend.camera_alignment import half_size_pyramid
 from vo.engine.frontend.frontend import make_frontend
 from vo.engine.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
+from vo.engine.map_creator import StereoInitializer
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
-from vo.engine.mapping.tracked_frame import as_tracked_frame
-from vo.engine.tracking.last_frame import LastFrame, last_frame
+from vo.engine.mapping.tracked_frame import LastFrame, as_tracked_frame, last_frame
 from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
-from vo.engine.tracking.stereo_initializer import StereoInitializer
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.registry import open_source
 

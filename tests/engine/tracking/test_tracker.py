@@ -17,12 +17,12 @@ from vo.base.types import Floats
 from vo.engine.frontend.frontend import make_frontend
 from vo.engine.frontend.preprocessing import FramePreprocessor, PreprocessedFrame
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
+from vo.engine.map_creator import StereoInitializer
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.mapping.tracked_frame import TrackedFrame
 from vo.engine.tracking.motion_model import ConstantVelocity
-from vo.engine.tracking.stereo_initializer import StereoInitializer
 from vo.engine.tracking.tracker import Tracker
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.registry import open_source

@@ -19,7 +19,7 @@ from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import rotation_angle, se3_exp, so3_exp, so3_log
 from vo.base.types import Camera, Rig, Trajectory
 from vo.cli.app import app
-from vo.engine.geometry.rotation_rows import exp_rows, log_rows
+from vo.engine.geometry.so3 import exp_rows, log_rows
 from vo.recordings.formats.calibration import ImuCalibration, read_calibration, write_calibration
 from vo.tools.calibrating.board import Board, make_board
 from vo.tools.calibrating.board_poses import BoardPoses, board_poses

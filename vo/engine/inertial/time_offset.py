@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.base.types import Floats, Ints
 from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gyro
-from vo.engine.geometry.rotation_rows import log_rows
+from vo.engine.geometry.so3 import log_rows
 from vo.engine.inertial.samples import InertialSensor, RetimedSensor
 
 MAX_CHANGE_S = 0.1

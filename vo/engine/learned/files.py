@@ -5,12 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from vo.base.errors import ModelError, OutputError
+from vo.base.files.complete_file import complete_file
 from vo.engine.learned.catalog import ANY, Model
 
 _FOLDER_VARIABLE = "VO_MODELS"
@@ -83,9 +82,11 @@ def write(model: Model, content: bytes, weights_sha256: str) -> Path:
     }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _replace(path, content)
+        with complete_file(path) as file:
+            file.write(content)
         try:
-            _replace(_record_path(path), json.dumps(record, indent=1).encode())
+            with complete_file(_record_path(path)) as file:
+                file.write(json.dumps(record, indent=1).encode())
         except BaseException:
             path.unlink(missing_ok=True)  # without its record it would count as damaged
             raise
@@ -97,21 +98,6 @@ def write(model: Model, content: bytes, weights_sha256: str) -> Path:
 def sha256_of(content: bytes) -> str:
     """SHA-256 in hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write a file as a whole, or not at all."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, path)
-    except BaseException:
-        with suppress(OSError):
-            os.unlink(name)
-        raise
 
 
 def _record_path(path: Path) -> Path:

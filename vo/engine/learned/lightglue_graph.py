@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vo.engine.learned.attention_graph import (
+from vo.engine.learned.graph import (
+    GraphBuilder,
     attention,
     from_heads,
     gelu,
@@ -20,7 +21,6 @@ from vo.engine.learned.attention_graph import (
     named_linear,
     to_heads,
 )
-from vo.engine.learned.graph import GraphBuilder
 from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vo.engine.learned.attention_graph import attention, from_heads, linear, to_heads
-from vo.engine.learned.graph import GraphBuilder
+from vo.engine.learned.graph import GraphBuilder, attention, from_heads, linear, to_heads
 from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:

@@ -115,19 +115,13 @@ class Keyframe:
 
     def add_observations(self, new: NewObservations) -> None:
         """Add observations of landmarks that this keyframe does not observe yet."""
-        self.landmark = np.concatenate([self.landmark, new.landmark])
-        self.xy = np.concatenate([self.xy, new.xy])
-        self.image_xy = np.concatenate([self.image_xy, new.image_xy])
-        self.disparity = np.concatenate([self.disparity, new.disparity])
-        self.sigma_px = np.concatenate([self.sigma_px, new.sigma_px])
+        for name, values in zip(NewObservations._fields, new, strict=True):
+            setattr(self, name, np.concatenate([getattr(self, name), values]))
 
     def keep_observations(self, mask: Bools) -> None:
         """Remove the observations outside of the mask (n,)."""
         kept = np.flatnonzero(mask)  # taking rows is several times as fast as masking them
         if len(kept) == len(mask):
             return
-        self.landmark = self.landmark.take(kept)
-        self.xy = self.xy.take(kept, axis=0)
-        self.image_xy = self.image_xy.take(kept, axis=0)
-        self.disparity = self.disparity.take(kept)
-        self.sigma_px = self.sigma_px.take(kept)
+        for name in NewObservations._fields:
+            setattr(self, name, getattr(self, name).take(kept, axis=0))

@@ -29,6 +29,7 @@ class LocalMap:
     Landmark arrays have rows in order of id; rows move when landmarks are removed, ids never do.
 
     Attributes:
+        rig: with all corrections of the calibration so far.
         keyframes: in time order; their ids are consecutive.
         images: (capacity, H, W) rectified images of camera 0, by `Keyframe.slot`.
         id: (M,) ids of the landmarks.
@@ -312,13 +313,13 @@ class LocalMap:
         rows = np.sort(rows[rows >= 0])
         names = StoredLandmarks._fields[:-1]
         fields = {name: getattr(self, name).take(rows, axis=0) for name in names}
-        return StoredLandmarks(**fields, sigma=self._position_sigma(rows))
+        return StoredLandmarks(**fields, sigma=self.position_sigma(rows))
 
     def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
         for store in stores:
             store.add(keyframe, partial(self.landmarks_of, keyframe), self.images[keyframe.slot])
 
-    def _position_sigma(self, chosen: Ints) -> Floats:
+    def position_sigma(self, chosen: Ints) -> Floats:
         """Standard deviation (n,) of the positions of landmarks (n,), given exact poses."""
         place = np.full(len(self), -1)
         place[chosen] = np.arange(len(chosen))

@@ -13,11 +13,14 @@ from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.neighbours import far_from
 from vo.engine.geometry.surfaces import surface_normals
 from vo.engine.mapping.keyframe import FrameId, Keyframe, NewObservations, without_disparity
-from vo.engine.mapping.keyframe_triangulation import KeyframeTriangulator
+from vo.engine.mapping.keyframe_triangulation import (
+    KeyframeTriangulator,
+    StereoFeatures,
+    StereoTriangulator,
+)
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.octaves import predicted_octave
 from vo.engine.mapping.patch_search import find_patches
-from vo.engine.mapping.stereo_triangulation import StereoFeatures, StereoTriangulator
 from vo.engine.mapping.tracked_frame import TrackedFrame
 
 # A landmark's patch is replaced where its size has changed by more than this ratio, or its

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.quantiles import median
 from vo.base.types import Bools, Floats, Ints
+from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.rolling_shutter import Velocity
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
@@ -119,3 +121,23 @@ def as_tracked_frame(local_map: LocalMap, keyframe: Keyframe) -> TrackedFrame:
     every = np.ones(n, dtype=bool)
     pose, velocity = keyframe.world_from_cam, keyframe.velocity
     return TrackedFrame(pose, keyframe.landmark, observed, every, n, velocity)
+
+
+class LastFrame(NamedTuple):
+    """A tracked frame and the landmarks in it.
+
+    Attributes:
+        ids: (n,) increasing ids of the landmarks.
+        image_xy: (n, 2) where they were found.
+        inlier: (n,) whether they agreed with the pose.
+    """
+
+    frame: PreprocessedFrame
+    ids: Ints
+    image_xy: Floats
+    inlier: Bools
+
+
+def last_frame(frame: PreprocessedFrame, tracked: TrackedFrame) -> LastFrame:
+    """What to keep of a tracked frame."""
+    return LastFrame(frame, tracked.ids, tracked.observed.image_xy, tracked.inlier)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from vo.base.config import StartConfig
+from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Floats, Floats32, Ints
 from vo.engine.frontend.contracts import Matcher, feature_set
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry import epipolar
 from vo.engine.mapping.local_map import LocalMap
-from vo.engine.tracking.last_frame import LastFrame
-from vo.engine.tracking.scale import scale_from_points
+from vo.engine.mapping.tracked_frame import LastFrame
 
 _MIN_LANDMARKS = 6  # that must agree on the scale,
 _MIN_LANDMARK_RATIO = 0.5  # and their minimum ratio to all that could
@@ -70,3 +70,32 @@ class EssentialMatrixFallback:
         nearest = np.argmin(distance, axis=1)
         at = np.flatnonzero(distance[np.arange(len(nearest)), nearest] < _SAME_PX)
         return rows[nearest[at]], at
+
+
+def scale_from_points(
+    now_from_last: Floats, points_last: Floats, rays_now: Floats, *, agreement: float = 0.3
+) -> tuple[float, int]:
+    """Scale of a unit translation, and how many points agree with it.
+
+    Args:
+        now_from_last: (4, 4) motion with a translation of length 1.
+        points_last: (N, 3) map points in the last camera's frame.
+        rays_now: (N, 2) where they are seen now, x/z and y/z.
+        agreement: share by which a point's own scale may differ from the median.
+
+    With q = R p and direction t, (q + s t) is parallel to the ray (x, y, 1), so each point gives
+    s = (x q_z - q_x) / (t_x - x t_z), likewise in y; the two are joined by least squares.
+    """
+    q = points_last @ now_from_last[:3, :3].T
+    t = now_from_last[:3, 3]
+    slope = t[:2] - rays_now * t[2]
+    offset = rays_now * q[:, 2:] - q[:, :2]
+    weight = np.sum(slope**2, axis=1)
+    usable = weight > 1e-12
+    if not usable.any():
+        return 0.0, 0
+    scales = np.sum(slope * offset, axis=1)[usable] / weight[usable]
+    scale = median(scales)
+    if scale <= 0:
+        return scale, 0
+    return scale, int(np.sum(np.abs(scales - scale) <= agreement * scale))

@@ -13,8 +13,7 @@ from vo.base.geometry.quantiles import median
 from vo.engine.frontend.image_repetition import Repetition
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.mapping.tracked_frame import TrackedFrame
-from vo.engine.tracking.last_frame import LastFrame
+from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
 from vo.engine.tracking.tracker import Tracker
 
 # Predicted motion in the image from which a repeated image is impossible. What differs by noise

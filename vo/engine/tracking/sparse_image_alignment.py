@@ -15,7 +15,7 @@ from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.image_masks import used_at
 from vo.engine.geometry.rolling_shutter import Velocity, as_seen
 from vo.engine.mapping.local_map import LocalMap
-from vo.engine.tracking.last_frame import LastFrame
+from vo.engine.mapping.tracked_frame import LastFrame
 
 _MAX_LANDMARKS = 200  # evenly chosen
 _MIN_LANDMARKS = 20

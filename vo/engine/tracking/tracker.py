@@ -24,17 +24,14 @@ from vo.engine.frontend.frontend import Frontend
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.octaves import predicted_octave
-from vo.engine.mapping.tracked_frame import TrackedFrame
+from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame, last_frame
 from vo.engine.tracking.essential_matrix import EssentialMatrixFallback
-from vo.engine.tracking.klt_alignment import KltAligner
-from vo.engine.tracking.landmark_alignment import LandmarkAligner
-from vo.engine.tracking.last_frame import LastFrame, last_frame
-from vo.engine.tracking.map_agreement import MapAgreement
+from vo.engine.tracking.landmark_alignment import KltAligner, LandmarkAligner
 from vo.engine.tracking.motion_model import MotionModel, PosePrior
 from vo.engine.tracking.pose_estimation import PoseEstimator
 from vo.engine.tracking.rolling_shutter import RollingShutter
 from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
-from vo.engine.tracking.step_check import Step, StepCheck
+from vo.engine.tracking.step_check import MapAgreement, Step, StepCheck
 from vo.engine.tracking.visibility import outside, visible_landmarks
 
 # Radii of the search windows, tried in turn, in units of the configured one.

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 
 from vo.base.geometry.cameras import ideal_pixels
-from vo.base.geometry.transforms import inverse, make_transform, so3_exp
+from vo.base.geometry.transforms import inverse, make_transform, skew, so3_exp
 from vo.base.types import Camera, Floats, Ints
-from vo.engine.geometry.rotation_rows import skew_rows
 from vo.tools.calibrating.board import Board
 from vo.tools.calibrating.views import DetectedViews
 
@@ -96,7 +95,7 @@ def _refined(
         by_point[:, 0, 0], by_point[:, 1, 1] = matrix[0, 0] / z[:, 0], matrix[1, 1] / z[:, 0]
         by_point[:, :, 2] = -seen[:, :2] / z**2 * matrix[[0, 1], [0, 1]]
         # A motion of the camera by (w, t) moves a point by p x w - t in its frame.
-        by_motion = np.concatenate([skew_rows(seen), np.tile(-np.eye(3), (len(seen), 1, 1))], 2)
+        by_motion = np.concatenate([skew(seen), np.tile(-np.eye(3), (len(seen), 1, 1))], 2)
         jacobian = by_point @ by_motion
         weight = 1.0 / (1.0 + np.sum(error**2, axis=1) / _SCALE_PX**2)
         information = np.einsum("nki,n,nkj->ij", jacobian, weight, jacobian)

@@ -18,7 +18,7 @@ from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Bools, Floats, ImuNoise, Ints
 from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gyro
-from vo.engine.geometry.rotation_rows import log_rows
+from vo.engine.geometry.so3 import log_rows
 from vo.tools.calibrating.board_poses import BoardPoses
 from vo.tools.calibrating.bordered_system import BorderedSystem
 from vo.tools.calibrating.imu_camera_states import (

@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.base.geometry.transforms import so3_exp
 from vo.base.types import Floats
-from vo.engine.geometry.rotation_rows import exp_rows
+from vo.engine.geometry.so3 import exp_rows
 
 _GRAVITY_M_S2 = 9.80665
 STATE, COMMON = 9, 15

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.types import Floats
-from vo.engine.geometry.rotation_rows import exp_rows
+from vo.engine.geometry.so3 import exp_rows
 
 
 class Increments(NamedTuple):
