@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from vo.base.failures import Failure, FailureReason
+from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Floats
 from vo.engine.mapping.tracked_frame import Observations, TrackedFrame
-from vo.engine.tracking.step_check import Step, StepCheck
+from vo.engine.tracking.step_check import MapAgreement, Step, StepCheck
 
 INTERVAL_S = 0.05
 NOTHING = Observations(
@@ -113,3 +115,29 @@ def test_no_camera_is_faster_than_sound() -> None:
     failure = check.failure(step)
     assert failure is not None and failure.reason is FailureReason.IMPLAUSIBLE_SPEED
     assert failure.value == 500.0
+
+
+def confirming(in_view: int, found: int, inliers: int) -> TrackedFrame:
+    pixels, ones = np.zeros((found, 2)), np.ones(found)
+    rows = np.arange(found)
+    seen = Observations(rows, pixels, pixels, ones, ones, ones, ones, pixels)
+    return TrackedFrame(np.eye(4), rows, seen, rows < inliers, in_view=in_view)
+
+
+@pytest.mark.parametrize("frame", [confirming(1000, 200, 190), confirming(200, 190, 130)])
+def test_a_fifth_frame_in_a_row_that_confirms_little_is_a_fault(frame: TrackedFrame) -> None:
+    agreement = MapAgreement()
+    assert [agreement.update(frame) for _ in range(4)] == [()] * 4
+    (fault,) = agreement.update(frame)
+    assert fault == Fault(FaultKind.TWO_MOTIONS, value=1.0 - frame.inlier_ratio)
+    assert not fault.is_handled
+
+
+def test_single_frames_and_new_maps_are_no_fault() -> None:
+    agreement = MapAgreement()
+    few, usual = confirming(1000, 200, 190), confirming(1000, 600, 560)
+    assert not any(agreement.update(each) for each in [few, few, few, few, usual] * 3)
+    for _ in range(4):
+        agreement.update(few)
+    agreement.restart()
+    assert agreement.update(few) == ()
