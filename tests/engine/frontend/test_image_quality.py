@@ -13,9 +13,8 @@ from vo.base.failures import ImageDefect
 from vo.base.faults import FaultKind
 from vo.base.types import Bytes
 from vo.cli.app import app
+from vo.engine.frontend.image_faults import ImageFaults, blur, size_faults
 from vo.engine.frontend.image_quality import image_defect, noise_level
-from vo.engine.frontend.image_size import size_faults
-from vo.engine.frontend.sharpness import BlurDetector, blur
 
 SIZE = (120, 160)
 CALIBRATION = "cam0: {resolution: [160, 120], intrinsics: [120.0, 120.0, 79.5, 59.5]}\n"
@@ -102,7 +101,7 @@ def test_each_defect_is_measured(scene: Bytes) -> None:
 
 
 def test_a_recording_that_is_blurred_throughout_is_a_fault(scene: Bytes) -> None:
-    detector, blurred = BlurDetector(), cv2.blur(scene, (1, 21))
+    detector, blurred = ImageFaults(), cv2.blur(scene, (1, 21))
     for _ in range(100):
         detector.update(scene)
     detector.update(blurred)  # a single one is no fault

@@ -8,7 +8,7 @@ import pytest
 
 from vo.base.faults import FaultKind
 from vo.base.types import Bytes
-from vo.engine.frontend.interlacing import InterlacingDetector, share_of_combs
+from vo.engine.frontend.image_faults import ImageFaults, share_of_combs
 
 CLEAN_SHARE, LEAST_SHARE = 0.0, 0.02
 
@@ -75,7 +75,7 @@ def test_tiny_images_have_no_combs(shape: tuple[int, int]) -> None:
 
 def test_two_of_the_images_examined_make_a_fault() -> None:
     clean, combed = scene(), interlaced(scene(), 6)
-    detector = InterlacingDetector()
+    detector = ImageFaults()
     found = []
     for image in [combed] * 6 + [clean] * 20:
         detector.update(image)
@@ -84,7 +84,7 @@ def test_two_of_the_images_examined_make_a_fault() -> None:
 
 
 def test_the_fault_is_not_handled() -> None:
-    detector = InterlacingDetector()
+    detector = ImageFaults()
     for _ in range(5):
         detector.update(interlaced(scene(), 6))
     (fault,) = detector.faults
@@ -95,14 +95,14 @@ def test_the_fault_is_not_handled() -> None:
 def test_film_with_pulldown_is_interlaced() -> None:
     """Two of five frames are woven from two images of the film."""
     clean, combed = scene(), interlaced(scene(), 6)
-    detector = InterlacingDetector()
+    detector = ImageFaults()
     for i in range(40):
         detector.update(combed if i % 5 < 2 else clean)
         assert bool(detector.faults) == (i >= 16)
 
 
 def test_a_single_combed_image_is_no_fault() -> None:
-    detector = InterlacingDetector()
+    detector = ImageFaults()
     for i in range(40):
         detector.update(interlaced(scene(), 6) if i == 8 else scene())
         assert not detector.faults

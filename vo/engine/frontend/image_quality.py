@@ -8,10 +8,8 @@ import numpy as np
 from vo.base.failures import Failure, FailureReason, ImageDefect
 from vo.base.geometry.quantiles import median, percentiles
 from vo.base.types import Bytes
-from vo.engine.frontend.image_size import SMALL_PIXELS
-from vo.engine.frontend.interlacing import share_of_combs
+from vo.engine.frontend.image_faults import MAX_BLUR, SMALL_PIXELS, blur, share_of_combs
 from vo.engine.frontend.preprocessing import PreprocessedFrame
-from vo.engine.frontend.sharpness import MAX_BLUR, blur
 
 _STEP = 4  # every fourth pixel of every fourth row is enough for percentiles
 _BLACK, _WHITE = 16, 250

@@ -17,15 +17,13 @@ from vo.base.scheduling import give_way
 from vo.base.types import Bytes, Floats32, Frame, Keypoints
 from vo.engine.frontend.camera_alignment import half_size_pyramid
 from vo.engine.frontend.contracts import FeatureExtractor
+from vo.engine.frontend.image_faults import ImageFaults, size_faults
 from vo.engine.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.engine.frontend.image_repetition import Repetition, RepetitionDetector
-from vo.engine.frontend.image_size import size_faults
-from vo.engine.frontend.interlacing import InterlacingDetector
 from vo.engine.frontend.lazy_future import LazyFuture, finished
 from vo.engine.frontend.pair_check import PairCheck
 from vo.engine.frontend.pair_matching import View
 from vo.engine.frontend.recent_frames import RecentFrames, RecordedFrame
-from vo.engine.frontend.sharpness import BlurDetector
 from vo.engine.frontend.static_masks import StaticMasks
 from vo.engine.frontend.time_offset import TimeOffsetEstimator
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
@@ -157,8 +155,7 @@ class FramePreprocessor:
         self._masks = masks or StaticMasks(rig)
         self._second = second
         self._repetition = RepetitionDetector()
-        self._interlacing = InterlacingDetector()
-        self._blur = BlurDetector()
+        self._image_faults = ImageFaults()
         self._size_faults = size_faults(rig.width * rig.height)
         self._image_fixed = ImageFixedDetector(rig.fx * rig.baseline_m)
         self._recent = RecentFrames()
@@ -204,9 +201,8 @@ class FramePreprocessor:
         images = tuple(None if image is None else usual_array(image) for image in frame.images)
         frame = replace(frame, images=images)
         left_change = self._repetition.update(frame.images)[0]
-        self._interlacing.update(frame.image0)
-        self._blur.update(frame.image0)
-        faults = self._size_faults + self._interlacing.faults + self._blur.faults
+        self._image_faults.update(frame.image0)
+        faults = self._size_faults + self._image_faults.faults
         if self._rig.is_metric and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
             faults = (

@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.types import Bytes
-from vo.engine.frontend.sharpness import blur
+from vo.engine.frontend.image_faults import blur
 from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.recordings.sources.images import StoredImage, is_colour
 from vo.tools.inspection.image_records import ImageStatistics
