@@ -9,8 +9,7 @@ import pytest
 from learned_cases import BACKENDS, check_extractor, fetched, require_backend, saved, textured
 
 from vo.base.types import Floats, Floats32
-from vo.engine.learned.disk import DiskExtractor, convolved_at
-from vo.engine.learned.disk_graph import DISK_OUTPUTS, disk_model
+from vo.engine.learned.disk import DISK_OUTPUTS, DiskExtractor, convolved_at, disk_model
 from vo.engine.learned.inference import load
 from vo.engine.learned.maps import parabola_offsets, strongest
 

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from vo.base.types import Floats32
 from vo.engine.learned.inference import load
-from vo.engine.learned.lightglue import matches_of, normalised
-from vo.engine.learned.lightglue_graph import lightglue_model
+from vo.engine.learned.lightglue import lightglue_model, matches_of, normalised
 from vo.engine.learned.xfeat import XFeatExtractor
 
 pytest.importorskip("onnx")

@@ -15,8 +15,7 @@ from vo.engine.features.matching import DescriptorMatcher
 from vo.engine.frontend.contracts import FeatureSet
 from vo.engine.learned.inference import load
 from vo.engine.learned.lightglue import AssignmentMatcher
-from vo.engine.learned.superglue import SuperGlue, log_assignment, normalised
-from vo.engine.learned.superglue_graph import superglue_model
+from vo.engine.learned.superglue import SuperGlue, log_assignment, normalised, superglue_model
 
 pytest.importorskip("onnx")
 

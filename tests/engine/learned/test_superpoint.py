@@ -17,8 +17,12 @@ from learned_cases import (
 
 from vo.base.types import Floats, Floats32
 from vo.engine.learned.inference import load
-from vo.engine.learned.superpoint import SuperPointExtractor, described_at
-from vo.engine.learned.superpoint_graph import SUPERPOINT_OUTPUTS, superpoint_model
+from vo.engine.learned.superpoint import (
+    SUPERPOINT_OUTPUTS,
+    SuperPointExtractor,
+    described_at,
+    superpoint_model,
+)
 
 pytest.importorskip("onnx")
 

@@ -12,8 +12,7 @@ from learned_cases import BACKENDS, exported, fetched, require_backend, ten_imag
 from vo.base.types import Floats32
 from vo.engine.learned.inference import load
 from vo.engine.learned.maps import bicubic, bilinear, to_cells
-from vo.engine.learned.xfeat import XFeatExtractor, maxima, peak_offsets
-from vo.engine.learned.xfeat_graph import XFEAT_OUTPUTS
+from vo.engine.learned.xfeat import XFEAT_OUTPUTS, XFeatExtractor, maxima, peak_offsets
 
 
 def test_cells_of_pixels() -> None:
