@@ -24,7 +24,7 @@ from vo.base.types import Bytes, Frame, Rig, Skipped, Trajectory
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.memory.recognition import Recognised, Recogniser
 from vo.engine.places.records import Place, PlacedKeyframes
-from vo.outputs.evaluation.ape import absolute_errors
+from vo.outputs.evaluation.pose_errors import absolute_errors
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.images import ImageKind
 from vo.recordings.sources.registry import open_source

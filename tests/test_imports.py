@@ -128,12 +128,12 @@ RULE_CASES = (
         "vo.recordings.sources must not know vo.engine.geometry",
     ),
     (
-        "vo.outputs.results.poses",
+        "vo.outputs.results.tables",
         "import vo.recordings.sources",
         "vo.outputs.results must not know vo.recordings.sources",
     ),
     (
-        "vo.outputs.results.poses",
+        "vo.outputs.results.tables",
         "import vo.outputs.evaluation",
         "vo.outputs.results must not know vo.outputs.evaluation",
     ),

@@ -36,7 +36,7 @@ def truth() -> Floats:
 
 
 def poses_csv(path: Path, positions: Floats, segments: Floats | None = None) -> Path:
-    from vo.outputs.results.poses import POSES_HEADING
+    from vo.outputs.results.tables import POSES_HEADING
 
     numbers = np.zeros(len(positions)) if segments is None else segments
     rows = [

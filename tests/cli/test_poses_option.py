@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from run_calls import VO, summary_in, vo_run
 
-from vo.outputs.streaming.pose_record import SCHEMA_FILE
+from vo.outputs.streaming.sink import SCHEMA_FILE
 from vo.recordings.formats.trajectory import read_tum
 
 FRAMES = 12

@@ -11,8 +11,7 @@ from vo.base.config import load_config
 from vo.base.failures import Failure, FailureReason, ImageDefect
 from vo.base.faults import FaultKind
 from vo.cli.advice import advice, verdict_sentence
-from vo.outputs.results.fault_log import FaultRecord
-from vo.outputs.results.frames_without_pose import FrameRange
+from vo.outputs.results.run_statistics import FaultRecord, FrameRange
 from vo.outputs.results.summary import Summary
 from vo.runs.run_recording import run
 

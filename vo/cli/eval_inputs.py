@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vo.base.errors import SourceError, VoError
-from vo.outputs.evaluation.inputs import GivenTrajectory, Inputs, load_inputs
-from vo.outputs.evaluation.own_truth import has_colour_of_kitti
+from vo.outputs.evaluation.inputs import GivenTrajectory, Inputs, has_colour_of_kitti, load_inputs
 from vo.recordings.sources.logs.log import Log
 from vo.recordings.sources.logs.poses import (
     choose_pose_source,

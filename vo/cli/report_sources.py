@@ -11,13 +11,12 @@ import numpy as np
 from vo.base.errors import EvaluationError, SourceError, VoError
 from vo.base.types import Mode, Trajectory
 from vo.cli.eval_inputs import is_log, truth_of_log
-from vo.outputs.evaluation.causal_path import tracked_part
-from vo.outputs.evaluation.inputs import Inputs, load_inputs
-from vo.outputs.evaluation.own_truth import causal_ate_m, inputs_with_own_truth
+from vo.outputs.evaluation.association import tracked_part
+from vo.outputs.evaluation.inputs import Inputs, causal_ate_m, inputs_with_own_truth, load_inputs
 from vo.outputs.evaluation.report import Evaluation, evaluate
 from vo.outputs.report.entry import Thumbnail
-from vo.outputs.report.events import choose_events, shrink
 from vo.outputs.report.run_folder import RunRecord
+from vo.outputs.report.sections import choose_events, shrink
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 

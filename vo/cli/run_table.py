@@ -16,7 +16,7 @@ from vo.base.records.metric_scale import MetricScale
 from vo.cli.advice import advice, verdict_sentence
 from vo.cli.console import standard_output
 from vo.outputs.results.folder import RESULTS
-from vo.outputs.results.profile import Profile
+from vo.outputs.results.run_statistics import Profile
 from vo.outputs.results.summary import Summary
 
 _COLOURS = {"good": "[green]", "caution": "[yellow]", "bad": "[red]"}

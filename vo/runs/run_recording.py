@@ -21,8 +21,12 @@ from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
 from vo.outputs.recorders.recorder import NullRecorder, Recorder
 from vo.outputs.results.folder import RESULTS, RunFolder
-from vo.outputs.results.output_lock import locked_folder
-from vo.outputs.results.output_paths import refuse_to_collide, refuse_to_overwrite
+from vo.outputs.results.output_paths import (
+    locked_folder,
+    refuse_links,
+    refuse_to_collide,
+    refuse_to_overwrite,
+)
 from vo.outputs.results.summary import Summary
 from vo.outputs.streaming.streams import opened_streams
 from vo.recordings.sources.imu import usable_noise
@@ -130,6 +134,7 @@ def _check_outputs(
     # Only the new map may replace the old one.
     refuse_to_overwrite([Path(memory.map) if memory.map else None], (Path(output), *files))
     refuse_to_collide(Path(output), (*files, save_map))
+    refuse_links(files)
 
 
 def _check_readout(stream: FrameStream, config: Config) -> None:

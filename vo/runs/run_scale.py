@@ -10,7 +10,7 @@ from vo.base.records.metric_scale import MetricScale, ScaleFindings, choose_scal
 from vo.base.types import Estimate, Snapshot, Trajectory
 from vo.engine.markers.marker_problem import MarkerView
 from vo.engine.trajectory.store import TrajectoryStore
-from vo.outputs.recorders.recorder import MarkerRecorder, Recorder, ScaledRecorder
+from vo.outputs.recorders.recorder import Findings, LoopClosures, Recorder
 from vo.runs.scaling.creation import ScaleSources
 from vo.runs.scaling.georeference import write_georeference
 
@@ -79,11 +79,16 @@ class RunScale:
             notes += write_georeference(folder, store.path(), self._sources.on_globe)
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))
 
-    def finish(self, recorder: Recorder, causal: Trajectory, store: TrajectoryStore) -> None:
+    def finish(
+        self,
+        recorder: Recorder,
+        causal: Trajectory,
+        store: TrajectoryStore,
+        closures: LoopClosures | None,
+    ) -> None:
         """Finish a recorder, which gets paths and markers in units of the map, and the scales."""
-        if self.by_world and isinstance(recorder, ScaledRecorder):
-            recorder.set_scales(store.scales_of_segments())
+        scales = store.scales_of_segments() if self.by_world else {}
         markers = self._sources.markers
-        if markers is not None and isinstance(recorder, MarkerRecorder):
-            recorder.set_markers(markers.seen())
-        recorder.finish(causal, store.trajectory() if self._unscaled is None else self._unscaled)
+        findings = Findings(scales, closures, None if markers is None else markers.seen())
+        smoothed = store.trajectory() if self._unscaled is None else self._unscaled
+        recorder.finish(causal, smoothed, findings)

@@ -16,15 +16,12 @@ from vo.base.records.inertial_use import InertialUse
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Estimate, Frame, Trajectory
 from vo.engine.odometry import Odometry
-from vo.outputs.recorders.recorder import LoopClosures, LoopRecorder, Recorder
-from vo.outputs.results.covariance import covariance_line
+from vo.outputs.recorders.recorder import LoopClosures, Recorder
 from vo.outputs.results.folder import RunFolder
-from vo.outputs.results.frames import frame_line
 from vo.outputs.results.live_summary import LiveState
-from vo.outputs.results.poses import pose_lines
-from vo.outputs.results.profile import Profile, make_profile
-from vo.outputs.results.run_statistics import RunStatistics
+from vo.outputs.results.run_statistics import Profile, RunStatistics, make_profile
 from vo.outputs.results.summary import RunFacts, Status, Summary
+from vo.outputs.results.tables import covariance_line, frame_line, pose_lines
 from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
@@ -258,17 +255,17 @@ class RunSession:
         self._scale.apply(self._odometry.trajectory, self._folder.path, placement.notes)
 
     def _finish_recording(self) -> None:
-        placement = self._odometry.placement
-        if placement.closed_loops and isinstance(self._recorder, LoopRecorder):
-            store = self._odometry.trajectory
+        placement, store = self._odometry.placement, self._odometry.trajectory
+        closures = None
+        if placement.closed_loops:
             found = (
                 placement.closed_loops,
                 placement.relocalisations,
                 self._before_loops(in_metres=False),
             )
             scales = store.map_scales()
-            self._recorder.set_loops(LoopClosures(*found, store.worlds, scales))
-        self._scale.finish(self._recorder, self._causal.trajectory(), self._odometry.trajectory)
+            closures = LoopClosures(*found, store.worlds, scales)
+        self._scale.finish(self._recorder, self._causal.trajectory(), store, closures)
 
     def _before_loops(self, *, in_metres: bool) -> Trajectory:
         store = self._odometry.trajectory

@@ -22,9 +22,9 @@ from vo.base.config import load_config
 from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import adjoint, inverse, se3_log
 from vo.base.types import Estimate, Floats, State
-from vo.outputs.evaluation.ape import absolute_errors
-from vo.outputs.evaluation.causal_path import tracked_part
+from vo.outputs.evaluation.association import tracked_part
 from vo.outputs.evaluation.inputs import load_inputs
+from vo.outputs.evaluation.pose_errors import absolute_errors
 from vo.outputs.streaming.sink import PoseUpdate
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.run_recording import run

@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.base.config import load_config
 from vo.base.geometry.similarity import umeyama
-from vo.outputs.evaluation.ape import absolute_errors
+from vo.outputs.evaluation.pose_errors import absolute_errors
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.run_recording import run
 

@@ -7,7 +7,7 @@ from own_body import with_body
 from recorded_walk import Recording, Run, aligned, track
 
 from vo.base.faults import FaultKind
-from vo.outputs.results.fault_log import FaultLog
+from vo.outputs.results.run_statistics import FaultLog
 
 
 def _faults(run: Run) -> dict[FaultKind, bool]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from vo.base.types import Trajectory
-from vo.outputs.evaluation.causal_path import predicted, tracked_part
+from vo.outputs.evaluation.association import predicted, tracked_part
 
 HEADING = "frame,stamp_ns,state"
 ROWS = ("0,100,starting", "1,200,tracking", "2,300,lost", "3,400,tracking")

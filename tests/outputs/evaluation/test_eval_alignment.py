@@ -10,7 +10,7 @@ from vo.base.geometry.similarity import Similarity
 from vo.base.geometry.transforms import se3_exp, so3_exp
 from vo.base.types import Floats, Mode, Trajectory
 from vo.outputs.evaluation.alignment import align_poses, choose_alignment
-from vo.outputs.evaluation.ape import absolute_errors
+from vo.outputs.evaluation.pose_errors import absolute_errors
 
 MakeWalk = Callable[..., Trajectory]
 

@@ -9,9 +9,8 @@ import pytest
 from vo.base.errors import EvaluationError
 from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Trajectory
+from vo.outputs.evaluation.pose_errors import pairs_over_metres, rotation_angles_deg
 from vo.outputs.evaluation.report import evaluate
-from vo.outputs.evaluation.rpe import pairs_over_metres
-from vo.outputs.evaluation.statistics import rotation_angles_deg
 
 MakeWalk = Callable[..., Trajectory]
 

@@ -5,7 +5,7 @@ import pytest
 
 from vo.base.geometry.transforms import so3_exp
 from vo.base.types import Floats
-from vo.outputs.evaluation.kitti import KITTI_LENGTHS_M, segment_drift
+from vo.outputs.evaluation.pose_errors import KITTI_LENGTHS_M, segment_drift
 
 
 def straight(metres: float, step_m: float = 1.0) -> Floats:

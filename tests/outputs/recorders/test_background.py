@@ -34,7 +34,7 @@ class BlockedRecorder:
     def flush(self):
         self.flushed = len(self.frames)
 
-    def finish(self, causal, smoothed):
+    def finish(self, causal, smoothed, findings):
         self.finished = True
 
 

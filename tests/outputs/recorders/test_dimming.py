@@ -15,8 +15,8 @@ from rrd import read_rrd
 
 from vo.base.types import Bytes, Snapshot
 from vo.outputs.recorders import entities
-from vo.outputs.recorders.dimming import dimmed
 from vo.outputs.recorders.mcap_recorder import McapRecorder
+from vo.outputs.recorders.reconstruction import dimmed
 from vo.outputs.recorders.recorder import Recorder
 from vo.outputs.recorders.rerun_recorder import RerunRecorder
 

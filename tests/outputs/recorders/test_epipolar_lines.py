@@ -4,7 +4,7 @@ import pytest
 from vo.base.geometry import cameras
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp, transform_points
 from vo.base.types import Camera, View
-from vo.outputs.recorders.epipolar import epipolar_lines
+from vo.outputs.recorders.view_layer import epipolar_lines
 
 PLAIN = Camera(width=640, height=480, fx=400.0, fy=410.0, cx=320.0, cy=240.0)
 DISTORTED = Camera(640, 480, 400.0, 410.0, 320.0, 240.0, "radtan", (-0.25, 0.05, 0.001, -0.001))

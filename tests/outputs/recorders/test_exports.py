@@ -24,15 +24,14 @@ from vo.base.errors import OutputError
 from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Camera, Rig, Trajectory
 from vo.cli.app import app
-from vo.outputs.recorders.colmap import ColmapRecorder
+from vo.outputs.recorders.colmap import ColmapRecorder, ImageFolder
 from vo.outputs.recorders.durable_file import DurableFile
 from vo.outputs.recorders.exports import Exports, SeveralRecorders
-from vo.outputs.recorders.image_folder import ImageFolder
+from vo.outputs.recorders.map_spool import Model, PointTracks
 from vo.outputs.recorders.mcap_recorder import McapRecorder
-from vo.outputs.recorders.model import Model, PointTracks
 from vo.outputs.recorders.ply import PlyRecorder
 from vo.outputs.recorders.reconstruction import Reconstruction
-from vo.outputs.recorders.recorder import LoopClosures, Recorder
+from vo.outputs.recorders.recorder import Findings, LoopClosures, Recorder
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.run_recording import run
 
@@ -183,10 +182,9 @@ def test_each_world_is_a_separate_model(is_merged: bool, tmp_path: Path) -> None
         keyframes = tuple(k for k in estimate.keyframes if k.frame_index >= 8)
         snapshot = replace(snapshot, landmarks=replace(snapshot.landmarks, sightings=kept))
         recorder.record(replace(estimate, keyframes=keyframes), lambda snapshot=snapshot: snapshot)
-    recorder._write_models(None)  # as during the run
-    if is_merged:
-        recorder.set_loops(LoopClosures((), (), exact_run.smoothed(), {1: 0}, {}))
-    recorder.finish(exact_run.smoothed(), exact_run.smoothed())
+    recorder._write_map(None, Findings())  # as during the run
+    closures = LoopClosures((), (), exact_run.smoothed(), {1: 0}, {}) if is_merged else None
+    recorder.finish(exact_run.smoothed(), exact_run.smoothed(), Findings(closures=closures))
     names = [path.name for path in sorted((tmp_path / "sparse").iterdir())]
     assert names == (["0"] if is_merged else ["0", "1"])
     lines = (tmp_path / "sparse" / "0" / "images.txt").read_text().splitlines()
@@ -229,6 +227,17 @@ def test_images_keep_their_names_and_colours(tmp_path: Path) -> None:
     for name in found[2:]:
         picture = cv2.imread(str(written / name), cv2.IMREAD_UNCHANGED)
         np.testing.assert_array_equal(picture, grey)
+
+
+@pytest.mark.parametrize("name", ["images", "sparse", "sparse/0"])
+def test_a_folder_of_a_model_that_is_a_link_is_refused(name: str, tmp_path: Path) -> None:
+    elsewhere, link = tmp_path / "elsewhere", tmp_path / "model" / name
+    elsewhere.mkdir()
+    link.parent.mkdir(parents=True)
+    link.symlink_to(elsewhere)
+    with pytest.raises(OutputError, match="choose another `colmap`"):
+        ColmapRecorder(tmp_path / "model").begin("a", RIG, None)
+    assert link.is_symlink() and not list(elsewhere.iterdir())
 
 
 def test_images_of_the_recording_are_never_overwritten(tmp_path: Path) -> None:

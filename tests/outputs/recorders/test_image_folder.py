@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vo.outputs.recorders.image_folder import ImageFolder
+from vo.outputs.recorders.colmap import ImageFolder
 
 
-def test_a_link_is_not_copied(tmp_path: Path) -> None:
+def test_a_link_is_not_followed(tmp_path: Path) -> None:
     """It may lead to a file that is no part of the recording."""
     colour = np.random.default_rng(1).integers(0, 255, (48, 64, 3), np.uint8)
     cv2.imwrite(str(tmp_path / "secret.png"), colour)
@@ -19,9 +19,11 @@ def test_a_link_is_not_copied(tmp_path: Path) -> None:
     link.symlink_to(tmp_path / "secret.png")
     cv2.imwrite(str(plain), colour)
     (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "link.png").symlink_to(plain)  # nor written to
     folder, grey = ImageFolder(tmp_path / "out"), np.zeros((48, 64), np.uint8)
     for number, path in enumerate((link, plain)):
         folder.add(number, path, grey, is_recorded=True)
+    np.testing.assert_array_equal(cv2.imread(str(plain), cv2.IMREAD_UNCHANGED), colour)
     secret = (tmp_path / "secret.png").read_bytes()
     assert (tmp_path / "out" / "link.png").read_bytes() != secret
     assert (tmp_path / "out" / "plain.png").read_bytes() == secret  # the same picture

@@ -26,8 +26,8 @@ def test_a_killed_run_leaves_a_complete_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pycolmap = pytest.importorskip("pycolmap")
-    monkeypatch.setattr("vo.outputs.recorders.checkpoints._MIN_S", 0.0)
-    monkeypatch.setattr("vo.outputs.recorders.checkpoints._MAX_RATIO", 1e9)
+    monkeypatch.setattr("vo.outputs.recorders.ply._MIN_S", 0.0)
+    monkeypatch.setattr("vo.outputs.recorders.ply._MAX_RATIO", 1e9)
     recorders: list[Recorder] = [ColmapRecorder(tmp_path), PlyRecorder(tmp_path / "map.ply")]
     for recorder in recorders:
         recorder.begin("a name", RIG, None)
@@ -86,14 +86,13 @@ def peak_bytes(frames: int) -> int:
     (model,) = reconstruction.models()
     assert sum(len(points.number) for points in model.points()) == model.point_count
     assert model.point_count > 0.9 * PER_FRAME * frames
-    reconstruction.close()
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak
 
 
 def test_memory_hardly_grows_with_the_length_of_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vo.outputs.recorders.model._TRACKS_AT_ONCE", 1000)
+    monkeypatch.setattr("vo.outputs.recorders.map_spool._TRACKS_AT_ONCE", 1000)
     short, long = peak_bytes(30), peak_bytes(130)
     observations = 100 * PER_FRAME * OBSERVED * 24  # bytes of ids and pixels alone
     assert long - short < 0.7 * observations
@@ -113,4 +112,3 @@ def test_a_spool_gives_back_what_was_stored_last(tmp_path: Path) -> None:
     ids, pixels = spool.observations(9)
     assert (ids.tolist(), pixels.tolist()) == ([5], [[3.0, 4.0]])
     assert list(tmp_path.iterdir()) == []
-    spool.close()

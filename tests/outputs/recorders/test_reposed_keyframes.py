@@ -15,7 +15,7 @@ from rrd import STATIC, read_rrd
 from vo.base.geometry.transforms import make_transform, so3_exp, transform_points
 from vo.base.types import Estimate, Floats, KeyframePose, Rig, Snapshot, Trajectory
 from vo.engine.trajectory.store import TrajectoryStore
-from vo.outputs.recorders import entities, map_layer, settled_map
+from vo.outputs.recorders import entities, map_layer, settled_layer
 from vo.outputs.recorders.keyframe_history import KeyframeHistory
 from vo.outputs.recorders.reconstruction import Reconstruction
 from vo.outputs.recorders.recorder import LoopClosures, Recorder
@@ -76,7 +76,7 @@ def moved_points(move: Floats) -> Floats:
 
 @pytest.fixture
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(settled_map, "_KEYFRAMES_PER_CHUNK", CHUNK)
+    monkeypatch.setattr(settled_layer, "_KEYFRAMES_PER_CHUNK", CHUNK)
     monkeypatch.setattr(map_layer, "_FRAMES_BETWEEN_MAPS", 1)
 
 

@@ -17,9 +17,9 @@ from vo.base.errors import OutputError
 from vo.base.geometry.transforms import quat_xyzw_from_rotation, rotation_from_quat_xyzw
 from vo.base.types import Rig, Trajectory
 from vo.outputs.recorders import entities
-from vo.outputs.recorders.piped_file import end_of_messages
 from vo.outputs.recorders.recorder import NullRecorder, Recorder
 from vo.outputs.recorders.rerun_recorder import RerunRecorder
+from vo.outputs.recorders.sink import end_of_messages
 
 EPOCH_NS = 1_700_000_000_123_456_789
 

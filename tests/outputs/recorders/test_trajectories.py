@@ -7,7 +7,7 @@ from dataclasses import replace
 import exact_run
 import numpy as np
 
-from vo.outputs.recorders.trajectories import RunIndex
+from vo.outputs.recorders.timelines import RunIndex
 
 
 def test_segments_of_a_world_are_together_and_others_apart() -> None:

@@ -18,7 +18,7 @@ from vo.cli.app import app
 from vo.outputs.evaluation.inputs import load_inputs
 from vo.outputs.evaluation.report import evaluate
 from vo.outputs.report.entry import Entry
-from vo.outputs.report.quantities import duration, length, number, percentage
+from vo.outputs.report.markup import duration, length, number, percentage
 from vo.outputs.report.run_folder import read_run
 from vo.outputs.report.verdict import verdict
 from vo.recordings.formats.trajectory import read_tum, write_tum

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 
 from vo.base.faults import Fault, FaultKind
-from vo.outputs.results.fault_log import FaultLog, FaultRecord
 from vo.outputs.results.fault_warnings import fault_warnings
+from vo.outputs.results.run_statistics import FaultLog, FaultRecord
 
 STEP, REPEATED = FaultKind.IMPLAUSIBLE_STEP, FaultKind.REPEATED_IMAGES
 

@@ -13,8 +13,7 @@ import pytest
 
 from vo.base.errors import OutputError
 from vo.outputs.results.folder import RESULTS, RunFolder
-from vo.outputs.results.growing_file import GrowingFile
-from vo.outputs.results.reserved_space import ReservedSpace
+from vo.outputs.results.growing_file import GrowingFile, ReservedSpace
 from vo.recordings.formats.trajectory import read_tum
 
 VO = Path(sys.executable).with_name("vo")

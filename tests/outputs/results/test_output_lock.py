@@ -8,13 +8,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from vo.base.config import load_config
 from vo.base.errors import OutputError
 from vo.outputs.recorders.exports import Exports
-from vo.outputs.results.output_lock import locked_folder
+from vo.outputs.results.output_paths import locked_folder
 from vo.runs.run_recording import run
 
 FAST = load_config("fast")
@@ -23,7 +24,7 @@ FAST = load_config("fast")
 def test_two_runs_cannot_write_to_one_folder(tmp_path: Path) -> None:
     code = (
         "import sys\nfrom pathlib import Path\nfrom vo.base.errors import OutputError\n"
-        "from vo.outputs.results.output_lock import locked_folder\n"
+        "from vo.outputs.results.output_paths import locked_folder\n"
         "try:\n    with locked_folder(Path(sys.argv[1])): print('locked')\n"
         "except OutputError as error: print(error)\n"
     )
@@ -109,6 +110,22 @@ def test_an_rrd_file_does_not_replace_an_input_log(tmp_path: Path) -> None:
         with pytest.raises(OutputError, match="mcap is an input and would be replaced"):
             run(log, tmp_path / "out", config=FAST, rrd=target)
     assert log.read_bytes() == b"data"
+
+
+@pytest.mark.parametrize("kind", ["mcap", "ply", "colmap", "rrd", "record"])
+@pytest.mark.parametrize("is_dangling", [False, True])
+def test_an_output_that_is_a_link_to_a_file_is_refused(
+    synthetic_stereo: Path, tmp_path: Path, kind: str, is_dangling: bool
+) -> None:
+    (tmp_path / "mine").write_text("data")
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / ("missing" if is_dangling else "mine"))
+    is_export = kind in ("mcap", "ply", "colmap")
+    options: Any = {"exports": Exports(**{kind: link})} if is_export else {kind: link}
+    with pytest.raises(OutputError, match="link is a symbolic link, which is not followed"):
+        run(synthetic_stereo, tmp_path / "out", config=FAST, end=2, **options)
+    assert (tmp_path / "mine").read_text() == "data"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "mine"]
 
 
 @pytest.mark.parametrize("name", ["summary.json", "trajectory.tum", "frames.csv.partial"])

@@ -14,9 +14,9 @@ from vo.base.records.calibration_errors import CalibrationErrors, LensError
 from vo.base.records.closed_loops import ClosedLoop
 from vo.base.records.placed_frames import PlacedFrames
 from vo.base.types import Estimate, KeyframePose, Skipped, State, Trajectory
-from vo.outputs.results.covariance import COVARIANCE_HEADING, covariance_line
 from vo.outputs.results.run_statistics import RunStatistics
 from vo.outputs.results.summary import RunFacts, Summary, summarise
+from vo.outputs.results.tables import COVARIANCE_HEADING, covariance_line
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "outputs.md"
 

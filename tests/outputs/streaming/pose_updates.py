@@ -10,8 +10,7 @@ from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Estimate, KeyframePose, State
-from vo.outputs.streaming.pose_record import PoseRecords, encoded
-from vo.outputs.streaming.sink import PoseUpdate
+from vo.outputs.streaming.sink import PoseRecords, PoseUpdate, encoded
 
 BEGUN_NS = 1_700_000_000_123_456_789
 

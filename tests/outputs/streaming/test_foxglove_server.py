@@ -19,10 +19,8 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from pose_updates import estimate, lost, pose, update
 
 from vo.base.errors import MissingExtraError, OutputError
-from vo.outputs.streaming.address import open_address
-from vo.outputs.streaming.pose_record import SCHEMA_FILE, PoseRecords, encoded
-from vo.outputs.streaming.sink import PoseUpdate
-from vo.outputs.streaming.thinned_path import ThinnedPath
+from vo.outputs.streaming.sink import SCHEMA_FILE, PoseRecords, PoseUpdate, ThinnedPath, encoded
+from vo.outputs.streaming.streams import open_address
 
 pytest.importorskip("foxglove", reason="the extra 'foxglove' is not installed")
 

@@ -12,7 +12,7 @@ from pose_updates import BEGUN_NS, FAULT, estimate, keyframe, lost, pose
 from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault, FaultKind
 from vo.base.types import PredictedPose, State
-from vo.outputs.streaming.pose_record import SCHEMA_FILE, SCHEMA_VERSION, PoseRecords, encoded
+from vo.outputs.streaming.sink import SCHEMA_FILE, SCHEMA_VERSION, PoseRecords, encoded
 
 SCHEMA = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
 

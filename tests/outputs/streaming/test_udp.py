@@ -15,8 +15,8 @@ from pose_updates import estimate, keyframe, lost, update
 
 from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import PredictedPose
-from vo.outputs.streaming.address import open_address
-from vo.outputs.streaming.pose_record import PoseRecords, encoded
+from vo.outputs.streaming.sink import PoseRecords, encoded
+from vo.outputs.streaming.streams import open_address
 
 
 @pytest.fixture(params=["127.0.0.1", "::1"])

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
 from vo.base.errors import EvaluationError
+from vo.base.files.bounded_files import read_text
 from vo.base.geometry.transforms import interpolate
-from vo.base.types import Floats, Ints, Trajectory
+from vo.base.types import Bools, Floats, Ints, Trajectory
 
 AssociationMethod = Literal["nearest", "interpolated"]
 
@@ -149,3 +154,72 @@ def _no_overlap(estimate: Trajectory, reference: Trajectory, tolerance_s: float)
         f"no stamps within {tolerance_s:g} s of each other: {spans}; "
         "use the ground truth of the same recording, or a larger `tolerance_s`"
     )
+
+
+_COLUMNS = ["frame", "stamp_ns", "segment"]
+
+
+def frame_numbers(
+    estimate: Path, stamps_ns: Ints, summary: Mapping[str, Any], frames: int
+) -> Ints | None:
+    """Numbers (N,) of the frames of some poses, from `poses.csv` beside the trajectory of a run.
+
+    `stamps_ns`: (N,) stamps of its poses. `frames`: number of poses of the ground truth.
+
+    Returns None if it is unknown, or if the ground truth may not have one pose for each frame of
+    the recording: the run had another number of frames, or left some of them out.
+    """
+    is_whole = summary.get("start") in (None, 0) and summary.get("stride") in (None, 1)
+    if not is_whole or summary.get("frames") != frames:
+        return None
+    found = _column(estimate, stamps_ns, 0)
+    if found is None or not len(found) or found.min() < 0 or found.max() >= frames:
+        return None
+    return found
+
+
+def segment_numbers(estimate: Path, stamps_ns: Ints) -> Ints | None:
+    """Numbers (N,) of the segments of some poses, None if they are unknown.
+
+    Merged segments have one number, and another segment may lie between them.
+
+    `stamps_ns`: (N,) stamps of its poses.
+    """
+    return _column(estimate, stamps_ns, 2)
+
+
+def _column(estimate: Path, stamps_ns: Ints, column: int) -> Ints | None:
+    """Whole numbers (N,) of a column of `poses.csv`, None without them."""
+    try:
+        lines = read_text(estimate.with_name("poses.csv")).splitlines()
+        rows = [line.split(",", 3) for line in lines]
+        number_of = {int(row[1]): int(row[column]) for row in rows[1:]}
+        if not rows or rows[0][:3] != _COLUMNS:
+            return None
+        return np.array([number_of[stamp] for stamp in stamps_ns.tolist()], dtype=np.int64)
+    except (OSError, ValueError, IndexError, KeyError):
+        return None
+
+
+_FILES = ("frames.csv", "frames.csv.partial")  # the latter is written until a run ends
+
+
+def tracked_part(causal: Trajectory, folder: Path) -> Trajectory:
+    """The causal poses of frames that were tracked; all of them without `frames.csv`.
+
+    Lost frames have a pose in `causal.tum`, too, if an inertial sensor predicts it.
+
+    `causal`: the causal path, or a part of it.
+    """
+    kept = ~predicted(causal, folder)
+    return Trajectory(causal.stamps_ns[kept], causal.world_from_cam[kept])
+
+
+def predicted(causal: Trajectory, folder: Path) -> Bools:
+    """(N,) which causal poses were predicted; none without `frames.csv`."""
+    for name in _FILES:
+        with suppress(OSError, ValueError, KeyError, TypeError, OverflowError, csv.Error):
+            rows = csv.DictReader(read_text(folder / name).splitlines())
+            lost = [int(row["stamp_ns"]) for row in rows if row["state"] != "tracking"]
+            return np.isin(causal.stamps_ns, np.array(lost, np.int64))
+    return np.zeros(len(causal), dtype=bool)

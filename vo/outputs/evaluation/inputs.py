@@ -12,8 +12,8 @@ from vo.base.errors import CalibrationError, EvaluationError, SourceError
 from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
 from vo.base.types import Mode, Trajectory
-from vo.outputs.evaluation.causal_path import predicted
-from vo.outputs.evaluation.frame_numbers import frame_numbers, segment_numbers
+from vo.outputs.evaluation.association import frame_numbers, predicted, segment_numbers
+from vo.outputs.evaluation.report import evaluate
 from vo.recordings.formats.calibration import Calibration, read_calibration
 from vo.recordings.formats.euroc_layout import find_camera_on_body
 from vo.recordings.formats.trajectory import detect_format, has_stamps, read_trajectory
@@ -263,3 +263,46 @@ def _with_longest_segment(inputs: Inputs, summary: dict[str, Any]) -> Inputs:
     )
     estimate = Trajectory(stamps_ns[kept], inputs.estimate.world_from_cam[kept])
     return replace(inputs, estimate=estimate, notes=(*inputs.notes, note))
+
+
+def has_colour_of_kitti(path: Path) -> bool:
+    """Whether it is a sequence of KITTI with the colour cameras alone.
+
+    Its poses.txt is that of the grey left camera, and only the recording can move it.
+    """
+    return (path / "image_2").is_dir() and not (path / "image_0").is_dir()
+
+
+def inputs_with_own_truth(run: Path, recording: Path, truth: Trajectory | None) -> Inputs | None:
+    """A run and the ground truth of its recording: from its file, or else as opened.
+
+    `truth`: ground truth of the opened recording, None without one.
+
+    Returns None without ground truth.
+
+    Raises:
+        EvaluationError: the two cannot be compared.
+    """
+    if recording.is_dir() and not has_colour_of_kitti(recording):
+        try:
+            return load_inputs(run, recording)
+        except SourceError:
+            pass
+    return None if truth is None else load_inputs(run, GivenTrajectory(truth, recording))
+
+
+def causal_ate_m(causal: Trajectory, inputs: Inputs) -> float | None:
+    """ATE of the part of the causal path that belongs to an estimate; None if there is none.
+
+    `causal`: the whole causal path of the run, of tracked frames. `inputs`: the smoothed path of a
+    segment, and the ground truth.
+    """
+    stamps_ns, evaluated_ns = causal.stamps_ns, inputs.estimate.stamps_ns
+    kept = (stamps_ns >= evaluated_ns[0]) & (stamps_ns <= evaluated_ns[-1])
+    if not kept.any():
+        return None
+    path = Trajectory(stamps_ns[kept], causal.world_from_cam[kept])
+    try:
+        return evaluate(path, inputs.reference, mode=inputs.causal_mode).ate.translation.rmse
+    except EvaluationError:
+        return None

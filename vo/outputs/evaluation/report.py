@@ -11,11 +11,19 @@ import numpy as np
 from vo.base.errors import EvaluationError
 from vo.base.types import Floats, Ints, Mode, Trajectory
 from vo.outputs.evaluation.alignment import Alignment, AlignMethod, align_poses
-from vo.outputs.evaluation.ape import absolute_errors, rotation_errors_alone
 from vo.outputs.evaluation.association import MatchedPoses, associate, coverage
-from vo.outputs.evaluation.kitti import SegmentDrift, segment_drift
-from vo.outputs.evaluation.rpe import pairs_over_frames, pairs_over_metres, relative_errors
-from vo.outputs.evaluation.statistics import PoseErrors, Statistics, path_distances
+from vo.outputs.evaluation.pose_errors import (
+    PoseErrors,
+    SegmentDrift,
+    Statistics,
+    absolute_errors,
+    pairs_over_frames,
+    pairs_over_metres,
+    path_distances,
+    relative_errors,
+    rotation_errors_alone,
+    segment_drift,
+)
 
 _UNCERTAIN_ROLL_RAD = 0.1
 

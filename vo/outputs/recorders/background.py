@@ -7,21 +7,11 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
-from vo.base.records.metric_scale import MetricScale
-from vo.base.records.seen_markers import SeenMarkers
 from vo.base.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
-from vo.outputs.recorders.recorder import (
-    LoopClosures,
-    LoopRecorder,
-    MarkerRecorder,
-    Recorder,
-    ScaledRecorder,
-    TakeSnapshot,
-)
+from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, Recorder, TakeSnapshot
 
 _QUEUE_SIZE = 32  # frames; their images take most of the memory
 _TIMEOUT_S = 20.0
@@ -34,6 +24,12 @@ _log = logging.getLogger(__name__)
 class _Frame(NamedTuple):
     estimate: Estimate
     snapshot: Snapshot
+
+
+class _End(NamedTuple):
+    causal: Trajectory
+    smoothed: Trajectory
+    findings: Findings
 
 
 class BackgroundRecorder:
@@ -58,15 +54,12 @@ class BackgroundRecorder:
         timeout_s: float = _TIMEOUT_S,
     ) -> None:
         self._recorder = recorder
-        self._queue: queue.Queue[_Frame | tuple[Trajectory, Trajectory]] = queue.Queue(queue_size)
+        self._queue: queue.Queue[_Frame | _End] = queue.Queue(queue_size)
         self._timeout_s = timeout_s if may_drop else math.inf
         self._may_drop = may_drop
         self._thread: threading.Thread | None = None
         self._progress = 0
         self._left_out = 0
-        self._scales: dict[int, MetricScale] = {}
-        self._closures: LoopClosures | None = None
-        self._markers: SeenMarkers | None = None
         self._keyframes: dict[int, KeyframePose] = {}  # of frames that were left out
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
@@ -95,19 +88,9 @@ class BackgroundRecorder:
     def flush(self) -> None:
         """Do nothing: the thread flushes while it waits for frames."""
 
-    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Keep the scales for the recorder, until it finishes."""
-        self._scales = dict(scales)
-
-    def set_loops(self, closures: LoopClosures) -> None:
-        """Keep the loops for the recorder, until it finishes."""
-        self._closures = closures
-
-    def set_markers(self, seen: SeenMarkers) -> None:
-        """Keep the markers for the recorder, until it finishes."""
-        self._markers = seen
-
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
         """Wait until all frames are recorded, as long as there is progress."""
         if self._thread is None or not self._thread.is_alive():
             return
@@ -119,7 +102,7 @@ class BackgroundRecorder:
         is_queued = False
         while self._thread.is_alive():
             if not is_queued:
-                is_queued = self._try_to_queue((causal, smoothed))
+                is_queued = self._try_to_queue(_End(causal, smoothed, findings))
             self._thread.join(_POLL_S)
             if self._progress != progress:
                 progress, since = self._progress, time.monotonic()
@@ -135,14 +118,14 @@ class BackgroundRecorder:
         keyframes = missed | {k.frame_index: k for k in estimate.keyframes}
         return replace(estimate, keyframes=tuple(keyframes[k] for k in sorted(keyframes)))
 
-    def _try_to_queue(self, paths: tuple[Trajectory, Trajectory]) -> bool:
+    def _try_to_queue(self, end: _End) -> bool:
         try:
-            self._queue.put_nowait(paths)
+            self._queue.put_nowait(end)
         except queue.Full:
             return False
         return True
 
-    def _next(self) -> _Frame | tuple[Trajectory, Trajectory]:
+    def _next(self) -> _Frame | _End:
         try:
             return self._queue.get(timeout=_IDLE_S)
         except queue.Empty:
@@ -157,12 +140,6 @@ class BackgroundRecorder:
                 if isinstance(item, _Frame):
                     self._recorder.record(item.estimate, _returning(item.snapshot))
                 else:
-                    if self._closures is not None and isinstance(self._recorder, LoopRecorder):
-                        self._recorder.set_loops(self._closures)
-                    if self._scales and isinstance(self._recorder, ScaledRecorder):
-                        self._recorder.set_scales(self._scales)
-                    if self._markers is not None and isinstance(self._recorder, MarkerRecorder):
-                        self._recorder.set_markers(self._markers)
                     self._recorder.finish(*item)
                     return
         except Exception as error:  # of any kind: the run goes on

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 import shutil
-from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
@@ -12,22 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.errors import OutputError
+from vo.base.files.bounded_files import read_bytes
 from vo.base.geometry import cameras
 from vo.base.geometry.rectification import rectified_rig
-from vo.base.records.metric_scale import MetricScale
-from vo.base.types import Camera, Estimate, Floats32, Rig, Trajectory, View
-from vo.outputs.recorders.checkpoints import Checkpoints
-from vo.outputs.recorders.image_folder import ImageFolder
-from vo.outputs.recorders.model import Model
+from vo.base.types import Bytes, Camera, Estimate, Floats32, Rig, Trajectory, View
+from vo.outputs.recorders.map_spool import Model
+from vo.outputs.recorders.ply import MapRecorder
 from vo.outputs.recorders.reconstruction import Reconstruction, camera_of, pinhole_of
-from vo.outputs.recorders.recorder import LoopClosures, TakeSnapshot
+from vo.outputs.recorders.recorder import TakeSnapshot
 from vo.recordings.formats.colmap import MODEL_FILES, ModelPoints, ModelWriter, has_colmap_model
 
 _IMAGES, _MODELS = "images", "sparse"
 _PARTIAL_SUFFIX = ".partial"
 
 
-class ColmapRecorder:
+class ColmapRecorder(MapRecorder):
     """Writes `images/`, and again and again `sparse/0`, `sparse/1`, …; the final ones at the end.
 
     Each world is a model: a segment, or at the end all segments that loops have connected, because
@@ -39,14 +38,13 @@ class ColmapRecorder:
     are refused.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, store: Reconstruction | None = None) -> None:
+        super().__init__(store)
         self._folder = folder
-        self._checkpoints = Checkpoints()
-        self._scales: dict[int, MetricScale] = {}
-        self._closures: LoopClosures | None = None
         self._images = ImageFolder(folder / _IMAGES)
         self._is_rectified = False
         self._names: dict[int, str] = {}
+        self._frames = self._names  # keyframes without an image are left out
         self._camera: Camera | None = None
         self._maps: tuple[Floats32, Floats32] | None = None
 
@@ -60,7 +58,7 @@ class ColmapRecorder:
         try:
             self._refuse_foreign_files()
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
-            self._reconstruction = Reconstruction(self._folder)
+            self._store.open(self._folder)
             self._remove_models(from_number=0)
         except OSError as error:
             raise OutputError(
@@ -74,16 +72,12 @@ class ColmapRecorder:
         Raises:
             OSError: the disk is full.
         """
-        current = snapshot()
-        self._reconstruction.add(estimate, current)
+        view = snapshot().view
         if self._camera is None:
-            self._camera, self._maps = _output_camera(current.view)
+            self._camera, self._maps = _output_camera(view)
         if estimate.is_keyframe:
-            self._names[estimate.frame_index] = self._write_image(estimate, current.view)
-        if self._checkpoints.is_due:
-            self._checkpoints.begin()
-            self._write_models(None)
-            self._checkpoints.end()
+            self._names[estimate.frame_index] = self._write_image(estimate, view)
+        super().record(estimate, snapshot)
 
     def _write_image(self, estimate: Estimate, view: View) -> str:
         image = view.image0
@@ -93,30 +87,7 @@ class ColmapRecorder:
         is_recorded = self._maps is None and not self._is_rectified
         return self._images.add(estimate.frame_index, view.path, image, is_recorded=is_recorded)
 
-    def flush(self) -> None:
-        """Do nothing: what is written during a run is complete."""
-
-    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Write the final models in metres."""
-        self._scales = dict(scales)
-
-    def set_loops(self, closures: LoopClosures) -> None:
-        """Write one final model for all segments that loops have connected."""
-        self._closures = closures
-
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """Write the models that have points.
-
-        Keyframes without an image, such as the first one of a mono map, are left out.
-
-        Raises:
-            OSError: the disk is full.
-        """
-        self._write_models(smoothed)
-        self._reconstruction.close()
-
-    def _write_models(self, smoothed: Trajectory | None) -> None:
-        models = self._reconstruction.models(smoothed, self._names, self._scales, self._closures)
+    def _write(self, models: list[Model]) -> None:
         written = [model for model in models if model.point_count] or models[:1]
         for number, model in enumerate(written):
             folder = self._folder / _MODELS / str(number)
@@ -124,7 +95,7 @@ class ColmapRecorder:
             shutil.rmtree(partial, ignore_errors=True)
             partial.mkdir(parents=True)
             try:
-                self._write(partial, model)
+                self._write_model(partial, model)
                 shutil.rmtree(folder, ignore_errors=True)
                 partial.rename(folder)
             except OSError:
@@ -139,7 +110,8 @@ class ColmapRecorder:
 
     def _refuse_foreign_files(self) -> None:
         models, images = self._models(), self._folder / _IMAGES
-        foreign = [each for each in models if not _is_own_model(each)]
+        foreign = [each for each in models if each.is_symlink() or not _is_own_model(each)]
+        foreign += [each for each in (images, self._folder / _MODELS) if each.is_symlink()]
         if not models and images.is_dir() and any(images.iterdir()):
             foreign = [images]
         if foreign:
@@ -154,7 +126,7 @@ class ColmapRecorder:
             if int(_number(old)) >= from_number and _is_own_model(old):
                 shutil.rmtree(old)
 
-    def _write(self, folder: Path, model: Model) -> None:
+    def _write_model(self, folder: Path, model: Model) -> None:
         assert self._camera is not None
         is_pinhole = self._maps is not None
         # Of recorded images, with the correction of the lens that was estimated during the run.
@@ -196,3 +168,65 @@ def _output_camera(view: View) -> tuple[Camera, tuple[Floats32, Floats32] | None
 
 def _undistorted(lens: Camera, pinhole: Camera, xy: NDArray[np.float64]) -> NDArray[np.float64]:
     return cameras.distort(pinhole, cameras.normalise(lens, xy))
+
+
+_COLOUR_DIMENSIONS = 3
+_MAX_BYTES = 512 * 2**20
+
+
+class ImageFolder:
+    """Writes images under their names in the recording.
+
+    `folder`: must exist; files of the same name are replaced.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._names: set[str] = set()
+
+    def add(self, frame_index: int, path: Path | None, image: Bytes, *, is_recorded: bool) -> str:
+        """Write the image of a frame; its file name, without white space.
+
+        `frame_index`: number of the frame. `path`: file of its recorded image, None without one.
+        `is_recorded`: whether `image` equals the recorded image, so that a colour image can be
+        copied instead.
+
+        Raises:
+            OSError: the file cannot be written, or the folder is that of the recording.
+        """
+        if path is not None and path.parent.resolve() == self._folder.resolve():
+            raise OSError(f"{self._folder} contains the images of the recording")
+        # A link may lead to a file that is no part of the recording: only its pixels are written.
+        may_copy = is_recorded and path is not None and not path.is_symlink()
+        recorded = _in_colour(path) if may_copy and path is not None else None
+        suffix = ".png" if recorded is None else recorded.suffix
+        stem = "frame" if path is None else re.sub(r"\s", "_", path.stem)
+        name = f"{stem}{suffix}"
+        if path is None or name in self._names:
+            name = f"{stem}_{frame_index:06d}{suffix}"
+        self._names.add(name)
+        target = self._folder / name
+        target.unlink(missing_ok=True)  # a link would be followed
+        if recorded is None:
+            target.write_bytes(_png(image))
+        else:
+            shutil.copyfile(recorded, target)
+        return name
+
+
+def _in_colour(path: Path) -> Path | None:
+    """The file, if it is a readable colour image of 8 bits."""
+    try:
+        data = np.frombuffer(read_bytes(path, _MAX_BYTES), dtype=np.uint8)
+        image: NDArray[np.generic] | None = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except (OSError, cv2.error):
+        return None
+    if image is None or image.ndim != _COLOUR_DIMENSIONS or image.dtype != np.uint8:
+        return None
+    return path
+
+
+def _png(image: Bytes) -> bytes:
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    assert done
+    return bytes(data.tobytes())

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from vo.base.records.metric_scale import MetricScale
-from vo.base.records.seen_markers import SeenMarkers
 from vo.base.types import Estimate, Rig, Trajectory
 from vo.outputs.recorders.background import BackgroundRecorder
-from vo.outputs.recorders.recorder import (
-    LoopClosures,
-    LoopRecorder,
-    MarkerRecorder,
-    Recorder,
-    ScaledRecorder,
-    TakeSnapshot,
-)
+from vo.outputs.recorders.reconstruction import Reconstruction
+from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, Recorder, TakeSnapshot
 
 _log = logging.getLogger(__name__)
 
@@ -41,6 +33,7 @@ class Exports:
     def recorders(self) -> list[Recorder]:
         """One recorder for each requested file."""
         recorders: list[Recorder] = []
+        store = Reconstruction()
         if self.mcap is not None:
             # protobuf takes long to import
             from vo.outputs.recorders.mcap_recorder import McapRecorder
@@ -49,11 +42,11 @@ class Exports:
         if self.colmap is not None:
             from vo.outputs.recorders.colmap import ColmapRecorder
 
-            recorders.append(ColmapRecorder(self.colmap))
+            recorders.append(ColmapRecorder(self.colmap, store))
         if self.ply is not None:
             from vo.outputs.recorders.ply import PlyRecorder
 
-            recorders.append(PlyRecorder(self.ply))
+            recorders.append(PlyRecorder(self.ply, store))
         return recorders
 
 
@@ -105,29 +98,13 @@ class SeveralRecorders:
             except Exception as error:
                 self._remove(recorder, error)
 
-    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Pass the scales to the recorders that use them."""
-        for recorder in self._recorders:
-            if isinstance(recorder, ScaledRecorder):
-                recorder.set_scales(scales)
-
-    def set_loops(self, closures: LoopClosures) -> None:
-        """Pass the loops to the recorders that show them."""
-        for recorder in self._recorders:
-            if isinstance(recorder, LoopRecorder):
-                recorder.set_loops(closures)
-
-    def set_markers(self, seen: SeenMarkers) -> None:
-        """Pass the markers to the recorders that show them."""
-        for recorder in self._recorders:
-            if isinstance(recorder, MarkerRecorder):
-                recorder.set_markers(seen)
-
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
         """Finish all recorders."""
         for recorder in list(self._recorders):
             try:
-                recorder.finish(causal, smoothed)
+                recorder.finish(causal, smoothed, findings)
             except Exception as error:
                 self._remove(recorder, error)
 

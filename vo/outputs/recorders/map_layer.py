@@ -11,12 +11,15 @@ from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
 from vo.base.types import Estimate, Floats, Landmarks, Snapshot, State, Trajectory
 from vo.outputs.recorders import entities
-from vo.outputs.recorders.batch import Batch
-from vo.outputs.recorders.growing_path import CausalPath, KeyframeGraph, SmoothedPath
-from vo.outputs.recorders.keyframe_history import KeyframeChanges, KeyframeHistory
-from vo.outputs.recorders.landmark_history import LandmarkHistory
-from vo.outputs.recorders.settled_layer import SettledLayer, add_points, add_strips
-from vo.outputs.recorders.timelines import Moment
+from vo.outputs.recorders.keyframe_history import (
+    CausalPath,
+    KeyframeChanges,
+    KeyframeGraph,
+    KeyframeHistory,
+    SmoothedPath,
+)
+from vo.outputs.recorders.settled_layer import LandmarkHistory, SettledLayer, add_points, add_strips
+from vo.outputs.recorders.timelines import Batch, Moment
 
 _PATHS = {
     entities.CAUSAL_PATH: (entities.ORANGE, 1.2),

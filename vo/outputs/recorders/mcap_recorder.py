@@ -31,11 +31,10 @@ from vo.base.types import (
     Trajectory,
     View,
 )
-from vo.outputs.recorders.dimming import dimmed
 from vo.outputs.recorders.durable_file import DurableFile
 from vo.outputs.recorders.keyframe_history import KeyframeHistory
-from vo.outputs.recorders.reconstruction import camera_of
-from vo.outputs.recorders.recorder import TakeSnapshot
+from vo.outputs.recorders.reconstruction import camera_of, dimmed
+from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, TakeSnapshot
 from vo.recordings.formats.foxglove import as_protobuf
 from vo.recordings.formats.foxglove_scene import Colour, cloud_message, marks_message, path_message
 from vo.recordings.formats.messages import (
@@ -120,7 +119,9 @@ class McapRecorder:
         with self._cut_after_an_error():
             self._flush()
 
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
         """Write the smoothed path and close the file.
 
         Raises:

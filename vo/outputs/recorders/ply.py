@@ -1,30 +1,78 @@
-"""Records the points of the map as a PLY file."""
+"""Records the whole map for other programs: what all exports of it share, and the PLY file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Container
 from pathlib import Path
 
 from vo.base.errors import OutputError
-from vo.base.records.metric_scale import MetricScale
 from vo.base.types import Estimate, Rig, Trajectory
-from vo.outputs.recorders.checkpoints import Checkpoints
+from vo.outputs.recorders.map_spool import Model
 from vo.outputs.recorders.reconstruction import Reconstruction
-from vo.outputs.recorders.recorder import LoopClosures, TakeSnapshot
+from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, TakeSnapshot
 from vo.recordings.formats.ply import write_ply
 
+_MIN_S = 1.0  # between the end of one checkpoint and the begin of the next
+_MAX_RATIO = 1.0 / 30.0  # of the time that they may take
 
-class PlyRecorder:
-    """Writes all points that were in the map, again and again during the run, and at its end.
+
+class MapRecorder:
+    """Writes the map again and again during a run, for a killed process, and at its end.
+
+    `store`: what was in the map, shared by all exports of a run; None for its own.
+    """
+
+    _frames: Container[int] | None = None  # of the keyframes that are written; None for all
+
+    def __init__(self, store: Reconstruction | None) -> None:
+        self._store = Reconstruction() if store is None else store
+        self._ended, self._took_s = time.monotonic(), 0.0  # of the last checkpoint
+
+    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
+        """Add a frame.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        self._store.add(estimate, snapshot())
+        began = time.monotonic()
+        if began - self._ended >= max(_MIN_S, self._took_s / _MAX_RATIO):
+            self._write_map(None, NO_FINDINGS)
+            self._ended = time.monotonic()
+            self._took_s = self._ended - began
+
+    def flush(self) -> None:
+        """Do nothing: what is written during a run is complete."""
+
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
+        """Write the map in metres, where loops have placed it.
+
+        Raises:
+            OSError: the disk is full.
+        """
+        self._write_map(smoothed, findings)
+        del self._store  # whose files vanish with the last export
+
+    def _write_map(self, smoothed: Trajectory | None, findings: Findings) -> None:
+        scales, closures = findings.scales, findings.closures
+        self._write(self._store.models(smoothed, self._frames, scales, closures))
+
+    def _write(self, models: list[Model]) -> None:
+        raise NotImplementedError
+
+
+class PlyRecorder(MapRecorder):
+    """Writes all points that were in the map.
 
     `path`: the file; an existing one is replaced.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, store: Reconstruction | None = None) -> None:
+        super().__init__(store)
         self._path = path
-        self._checkpoints = Checkpoints()
-        self._scales: dict[int, MetricScale] = {}
-        self._closures: LoopClosures | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Check that the file can be written.
@@ -36,47 +84,14 @@ class PlyRecorder:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             write_ply(self._path, 0, (), name)
-            self._reconstruction = Reconstruction(self._path.parent)
+            self._store.open(self._path.parent)
         except OSError as error:
             raise OutputError(
                 f"points {self._path} cannot be written: {error.strerror or error}; "
                 "choose another `ply`"
             ) from error
 
-    def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
-        """Add a frame.
-
-        Raises:
-            OSError: the disk is full.
-        """
-        self._reconstruction.add(estimate, snapshot())
-        if self._checkpoints.is_due:
-            self._checkpoints.begin()
-            self._write(None)
-            self._checkpoints.end()
-
-    def flush(self) -> None:
-        """Do nothing: what is written during a run is complete."""
-
-    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Write the final points in metres."""
-        self._scales = dict(scales)
-
-    def set_loops(self, closures: LoopClosures) -> None:
-        """Write the final points where loops have placed them."""
-        self._closures = closures
-
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """Write the points.
-
-        Raises:
-            OSError: the disk is full.
-        """
-        self._write(smoothed)
-        self._reconstruction.close()
-
-    def _write(self, smoothed: Trajectory | None) -> None:
-        models = self._reconstruction.models(smoothed, scales=self._scales, closures=self._closures)
+    def _write(self, models: list[Model]) -> None:
         count = sum(model.point_count for model in models)
         parts = ((part.xyz, part.grey) for model in models for part in model.points())
         write_ply(self._path, count, parts, self._name)

@@ -12,11 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+import cv2
 import numpy as np
 
 from vo.base.geometry.transforms import inverse
 from vo.base.records.metric_scale import MetricScale
 from vo.base.types import (
+    Bytes,
     Camera,
     Estimate,
     Floats,
@@ -27,27 +29,32 @@ from vo.base.types import (
     Trajectory,
     View,
 )
-from vo.outputs.recorders.map_source import MapSource, transformed
-from vo.outputs.recorders.map_spool import LANDMARK_ROW, LandmarkRows, MapSpool
-from vo.outputs.recorders.model import Model
+from vo.outputs.recorders.map_spool import (
+    LANDMARK_ROW,
+    LandmarkRows,
+    MapSource,
+    MapSpool,
+    Model,
+    transformed,
+)
 from vo.outputs.recorders.recorder import LoopClosures
 
 _MID_GREY = 128
+_BRIGHTNESS = 0.35  # of hidden pixels
 
 _NO_MAP = Landmarks(np.empty(0, np.int64), np.empty((0, 3)))
 
 
 class Reconstruction:
-    """All keyframes and landmarks that were in the map.
-
-    `folder`: folder for temporary files; None for the system's.
+    """All keyframes and landmarks that were in the map; one for all exports of a run.
 
     Raises:
-        OSError: here and in every method: the temporary files cannot be written or read.
+        OSError: in every method: the temporary files cannot be written or read.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
-        self._spool = MapSpool(folder)
+    def __init__(self) -> None:
+        self._spool: MapSpool | None = None
+        self._newest = -1  # number of the last frame that was added
         self._keyframes: dict[int, KeyframePose] = {}
         self._known: set[int] = set()  # frames of keyframes with observations and a pose
         self._map = _NO_MAP
@@ -55,8 +62,15 @@ class Reconstruction:
         self._camera: Camera | None = None
         self._cam0_from_image0 = np.eye(4)
 
+    def open(self, folder: Path | None) -> None:
+        """Create the temporary files, unless another export has; None for the system's folder."""
+        self._spool = self._spool or MapSpool(folder)
+
     def add(self, estimate: Estimate, snapshot: Snapshot) -> None:
-        """Add a frame."""
+        """Add a frame, unless another export has done so."""
+        if estimate.frame_index == self._newest:
+            return
+        self.open(None)
         self._camera = camera_of(snapshot.view)
         if snapshot.view.cam0_from_image0 is not None:
             self._cam0_from_image0 = snapshot.view.cam0_from_image0
@@ -64,6 +78,7 @@ class Reconstruction:
             self._keyframes[keyframe.frame_index] = replace(keyframe, covariance=None)
         if snapshot.landmarks is not None:
             self._replace_map(snapshot.landmarks)
+        self._newest = estimate.frame_index
 
     def models(
         self,
@@ -79,7 +94,7 @@ class Reconstruction:
         model to metres. `closures`: loops that connected segments; without any, each segment is a
         world.
         """
-        if self._camera is None:
+        if self._camera is None or self._spool is None:
             return []
         rows, poses = self._map_rows(), self._poses(smoothed)
         kept = {k: self._keyframes[k].scale for k in sorted(self._known)}
@@ -105,12 +120,9 @@ class Reconstruction:
                 found.setdefault(worlds.get(segment, segment), []).append(frame)
         return [(self._keyframes[each[0]].segment, each) for _, each in sorted(found.items())]
 
-    def close(self) -> None:
-        """Remove the temporary files."""
-        self._spool.close()
-
     def _replace_map(self, landmarks: Landmarks) -> None:
         """Store what has left the map."""
+        assert self._spool is not None
         frames = {each.frame_index for each in landmarks.sightings}
         for sightings in self._map.sightings:
             if sightings.frame_index not in frames:
@@ -172,3 +184,11 @@ def pinhole_of(view: View) -> Camera:
     height, width = view.image0.shape
     k = view.camera_matrix
     return Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
+
+
+def dimmed(image: Bytes, mask: Bytes | None) -> Bytes:
+    """An image (H, W) that is darker where a mask (H, W) is 0."""
+    if mask is None:
+        return image
+    dark = cv2.convertScaleAbs(image, alpha=_BRIGHTNESS)
+    return np.asarray(np.where(mask > 0, image, dark))

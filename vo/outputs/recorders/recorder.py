@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from types import MappingProxyType
+from typing import Literal, NamedTuple, Protocol
 
 from vo.base.records.closed_loops import ClosedLoop, Relocalisation
 from vo.base.records.metric_scale import MetricScale
@@ -12,6 +13,30 @@ from vo.base.types import Estimate, Rig, Snapshot, Trajectory
 
 ImageChoice = Literal["full", "half", "none"]
 TakeSnapshot = Callable[[], Snapshot]
+
+
+class LoopClosures(NamedTuple):
+    """Loops of a run, and its path before them."""
+
+    loops: tuple[ClosedLoop, ...]
+    # all segments whose place in an older world was found
+    relocalisations: tuple[Relocalisation, ...]
+    odometry: Trajectory  # the path before any loop, each segment in its own frame
+    # number of the world of each segment that was connected to another one
+    worlds: Mapping[int, int]
+    # length in the world of one unit of odometry, by frame number of each keyframe
+    scales: Mapping[int, float]
+
+
+class Findings(NamedTuple):
+    """What is known at the end of a run only."""
+
+    scales: Mapping[int, MetricScale] = MappingProxyType({})  # by segment
+    closures: LoopClosures | None = None  # None if no loop was closed
+    markers: SeenMarkers | None = None  # None without markers
+
+
+NO_FINDINGS = Findings()
 
 
 class Recorder(Protocol):
@@ -30,45 +55,13 @@ class Recorder(Protocol):
     def flush(self) -> None:
         """While no frame comes: write what waits in memory, to survive a killed process."""
 
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
-        """After the last frame, also of an interrupted run, with both complete paths; closes."""
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
+        """After the last frame, also of an interrupted run; closes.
 
-
-@runtime_checkable
-class ScaledRecorder(Protocol):
-    """A recorder that can write in metres what was recorded in units of the map."""
-
-    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Before `finish`: the scales of segments; the paths of `finish` stay in map units."""
-
-
-class LoopClosures(NamedTuple):
-    """Loops of a run, and its path before them."""
-
-    loops: tuple[ClosedLoop, ...]
-    # all segments whose place in an older world was found
-    relocalisations: tuple[Relocalisation, ...]
-    odometry: Trajectory  # the path before any loop, each segment in its own frame
-    # number of the world of each segment that was connected to another one
-    worlds: Mapping[int, int]
-    # length in the world of one unit of odometry, by frame number of each keyframe
-    scales: Mapping[int, float]
-
-
-@runtime_checkable
-class LoopRecorder(Protocol):
-    """A recorder that shows loops, or what they have connected."""
-
-    def set_loops(self, closures: LoopClosures) -> None:
-        """Before `finish`, if loops were closed."""
-
-
-@runtime_checkable
-class MarkerRecorder(Protocol):
-    """A recorder that shows markers."""
-
-    def set_markers(self, seen: SeenMarkers) -> None:
-        """Before `finish`, if there are any."""
+        `causal`, `smoothed`: both complete paths, in units of the map.
+        """
 
 
 class NullRecorder:
@@ -83,5 +76,7 @@ class NullRecorder:
     def flush(self) -> None:
         """Do nothing."""
 
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
         """Do nothing."""

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 
-from vo.base.records.metric_scale import MetricScale
-from vo.base.records.seen_markers import SeenMarkers
 from vo.base.types import Estimate, Floats, Rig, Trajectory
 from vo.outputs.recorders import entities
-from vo.outputs.recorders.batch import Batch
-from vo.outputs.recorders.blueprint import make_blueprint
-from vo.outputs.recorders.counters import Counters
-from vo.outputs.recorders.ground_truth import aligned_at_pose, aligned_to_path, position_errors
-from vo.outputs.recorders.loop_layer import LoopLayer
+from vo.outputs.recorders.entities import make_blueprint
+from vo.outputs.recorders.loop_layer import LoopLayer, MarkerLayer
 from vo.outputs.recorders.map_layer import MapLayer
-from vo.outputs.recorders.marker_layer import MarkerLayer
-from vo.outputs.recorders.plot_layer import PlotLayer
-from vo.outputs.recorders.recorder import ImageChoice, LoopClosures, TakeSnapshot
+from vo.outputs.recorders.plot_layer import (
+    Counters,
+    PlotLayer,
+    aligned_at_pose,
+    aligned_to_path,
+    position_errors,
+)
+from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, ImageChoice, TakeSnapshot
 from vo.outputs.recorders.sink import Sink, open_file, open_viewer
-from vo.outputs.recorders.timelines import Timelines
-from vo.outputs.recorders.trajectories import RunIndex, add_trajectory
+from vo.outputs.recorders.timelines import Batch, RunIndex, Timelines, add_trajectory
 from vo.outputs.recorders.view_layer import ViewLayer
 
 _FRAMES_PER_BATCH = 25
@@ -51,8 +50,6 @@ class RerunRecorder:
         self._batch_s = _BATCH_S if viewer is None else _LIVE_BATCH_S
         self._sinks: list[Sink] = []
         self._truth: Trajectory | None = None
-        self._closures: LoopClosures | None = None
-        self._markers: SeenMarkers | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
         """Open the file and the viewer.
@@ -94,25 +91,14 @@ class RerunRecorder:
         if self._sinks and self._waiting:
             self._send()
 
-    def set_scales(self, scales: Mapping[int, MetricScale]) -> None:
-        """Name the scales in the summary; the recording itself stays in units of the map."""
-        if self._sinks:
-            self._counters.scales = dict(scales)
-
-    def set_loops(self, closures: LoopClosures) -> None:
-        """Keep the loops, to be drawn on the complete path."""
-        self._closures = closures
-
-    def set_markers(self, seen: SeenMarkers) -> None:
-        """Keep the markers, to be drawn at the frames that show them."""
-        self._markers = seen
-
-    def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+    def finish(
+        self, causal: Trajectory, smoothed: Trajectory, findings: Findings = NO_FINDINGS
+    ) -> None:
         """Log both complete paths and the summary; close."""
         if not self._sinks:
             return
         if len(self._index):
-            self._add_paths(causal, smoothed)
+            self._add_paths(causal, smoothed, findings)
         self._send()
         for sink in self._sinks:
             sink.close()
@@ -143,16 +129,18 @@ class RerunRecorder:
             self._truth_is_shown = True
             self._map.log_ground_truth(positions)
 
-    def _add_paths(self, causal: Trajectory, smoothed: Trajectory) -> None:
+    def _add_paths(self, causal: Trajectory, smoothed: Trajectory, findings: Findings) -> None:
+        closures, markers = findings.closures, findings.markers
+        self._counters.scales = findings.scales
         add_trajectory(self._batch, entities.CAUSAL_POSES, causal, self._index)
         add_trajectory(self._batch, entities.SMOOTHED_POSES, smoothed, self._index)
-        if self._closures is not None:
-            odometry = self._index.by_segment(self._closures.odometry)
-            LoopLayer(self._batch, self._index.by_frame).log(self._closures, smoothed, odometry)
-        if self._markers is not None:
-            MarkerLayer(self._batch, self._index.by_frame, self._view.scale).log(self._markers)
+        if closures is not None:
+            odometry = self._index.by_segment(closures.odometry)
+            LoopLayer(self._batch, self._index.by_frame).log(closures, smoothed, odometry)
+        if markers is not None:
+            MarkerLayer(self._batch, self._index.by_frame, self._view.scale).log(markers)
         pieces = self._index.by_segment(smoothed)
-        connected = {} if self._closures is None else self._closures.worlds
+        connected = {} if closures is None else closures.worlds
         worlds = self._index.by_world(smoothed, connected)
         if pieces:
             self._map.finish(self._index.last, pieces)

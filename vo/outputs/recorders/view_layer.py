@@ -6,14 +6,13 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from vo.base.geometry.transforms import make_transform, quat_xyzw_from_rotation
+from vo.base.geometry import cameras
+from vo.base.geometry.transforms import inverse, make_transform, quat_xyzw_from_rotation
 from vo.base.types import Bools, Bytes, Estimate, FeatureState, Floats, Floats32, View
 from vo.outputs.recorders import entities
-from vo.outputs.recorders.batch import Batch, Strips
-from vo.outputs.recorders.dimming import dimmed
-from vo.outputs.recorders.epipolar import epipolar_lines
+from vo.outputs.recorders.reconstruction import dimmed
 from vo.outputs.recorders.recorder import ImageChoice
-from vo.outputs.recorders.timelines import Moment
+from vo.outputs.recorders.timelines import Batch, Moment, Strips
 
 _LEFT_QUALITY, _RIGHT_QUALITY = 60, 50  # of JPEG
 _MAX_LINES = 150  # of each kind: more would hide the image
@@ -172,3 +171,43 @@ def _halved(image: Bytes) -> Bytes:
     even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
     halved = cv2.resize(even, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     return np.asarray(halved, dtype=np.uint8)
+
+
+_MIN_DEPTH_IN_STEPS = 4.0  # depths from this multiple of the camera's step to infinity
+_POINTS_ON_CURVE = 6
+
+
+def epipolar_lines(
+    view: View, previous_xy: Floats32, world_from_previous: Floats, world_from_cam0: Floats
+) -> Floats:
+    """Epipolar lines of pixels of the last frame, in this frame's image0.
+
+    `previous_xy`: (n, 2) pixels in the last frame's image0. `world_from_previous`: (4, 4) of cam0
+    in the last frame. `world_from_cam0`: (4, 4) of cam0 in this frame.
+
+    Returns (n, k, 2) pixels: ends of a line, or points on a curve with lens distortion. Points
+    behind the camera have no line; without camera motion there are no lines.
+    """
+    cam0_from_image0 = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
+    world_from_image0 = world_from_cam0 @ cam0_from_image0
+    now_from_previous = inverse(world_from_image0) @ world_from_previous @ cam0_from_image0
+    step = float(np.linalg.norm(now_from_previous[:3, 3]))
+    count = 2 if view.lens is None else _POINTS_ON_CURVE
+    if step < 1e-9:
+        return np.empty((0, count, 2))
+    matrix = view.camera_matrix
+    focal, centre = np.diag(matrix)[:2], matrix[:2, 2]
+    if view.lens is None:
+        plane = (previous_xy - centre) / focal
+    else:
+        plane = cameras.normalise(view.lens, np.asarray(previous_xy, dtype=np.float64))
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    inverse_depths = np.arange(count) / ((count - 1) * _MIN_DEPTH_IN_STEPS * step)
+    # Homogeneous points (ray, 1 / depth), so that infinite depth needs no special case.
+    rotated = rays @ now_from_previous[:3, :3].T
+    points = rotated[:, None] + inverse_depths[:, None] * now_from_previous[:3, 3]
+    valid = (points[:, :, 2] > 1e-3).all(axis=1) & np.isfinite(points).all(axis=(1, 2))
+    projected = points[valid, :, :2] / points[valid, :, 2:]
+    if view.lens is None:
+        return np.asarray(projected * focal + centre)
+    return cameras.distort(view.lens, projected.reshape(-1, 2)).reshape(projected.shape)

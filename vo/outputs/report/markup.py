@@ -1,10 +1,18 @@
-"""HTML elements with escaped text."""
+"""HTML and SVG of the report page, and how it writes quantities."""
 
 from __future__ import annotations
 
 import html
+import io
+import re
+from typing import TYPE_CHECKING
 
 from vo.base.printable import printable
+from vo.outputs.report.plots import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+import math
 
 
 class Markup(str):
@@ -39,3 +47,93 @@ def table(heading: list[str], rows: list[list[str]], **attributes: str) -> Marku
     ]
     inside = element("table", element("thead", head), element("tbody", *body), **attributes)
     return element("div", inside, class_="scroll")
+
+
+COLOURS = {
+    style.INK: "ink",
+    style.MUTED: "muted",
+    style.GRID: "grid",
+    style.LOST: "lost",
+    **{colour: f"series-{number}" for number, colour in enumerate(style.SERIES)},
+}
+"""CSS variables of the page, by colours of the figures."""
+
+_FONT = re.compile(r"font: ([0-9.]+px) [^;\"]*")
+_REFERENCE = re.compile(r'(\bid="|url\(#|href="#)')
+_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+
+
+def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
+    """A figure as an `<svg>` element.
+
+    `figure`: drawn inside `style.drawing`. `prefix`: prefix of its ids, unique in the page.
+    `caption`: text for screen readers.
+    """
+    import matplotlib
+
+    stream = io.StringIO()
+    with style.drawing(), matplotlib.rc_context({"svg.hashsalt": prefix}):
+        figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
+    text = stream.getvalue()
+    text = text[text.index("<svg") :]
+    head, rest = text.split(">", 1)
+    view_box = re.search(r'viewBox="([^"]+)"', head)
+    assert view_box is not None
+    rest = re.sub(r"<metadata>.*?</metadata>", "", rest, flags=re.DOTALL)
+    rest = _REFERENCE.sub(lambda match: f"{match[1]}{prefix}-", rest)
+    rest = _FONT.sub(lambda match: f"font-size: {match[1]}", rest)
+    for colour, name in COLOURS.items():
+        rest = rest.replace(colour, f"var(--{name})")
+    inside = rest[: rest.rindex("</svg>")]
+    attributes = f'viewBox="{view_box[1]}" role="img" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    title = element("title", caption)
+    return Markup(f"<svg {attributes}>{title}{inside}</svg>")
+
+
+_LENGTH_UNITS = ((1.0, "m", 1.0), (1e-2, "cm", 1e2), (0.0, "mm", 1e3))
+
+
+def number(value: float, digits: int = 3) -> str:
+    """A number with this many significant digits, without exponent unless far from 1."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    if not 1e-4 <= abs(value) < 1e7:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"{value:.{decimals}f}".replace("-", "−")
+
+
+def length(value: float, unit: str = "m") -> str:
+    """A length; metres below 1 m are given in cm or mm."""
+    if unit != "m":
+        return f"{number(value)} {unit}"
+    for minimum, name, factor in _LENGTH_UNITS:
+        if abs(value) >= minimum:
+            return f"{number(value * factor)} {name}"
+    return f"{number(value)} m"
+
+
+def length_scale(largest_m: float) -> tuple[float, str]:
+    """Factor from metres to the unit of an axis with this maximum, and the unit."""
+    if largest_m < 0.03:
+        return 1e3, "mm"
+    return (1e2, "cm") if largest_m < 0.5 else (1.0, "m")
+
+
+def duration(seconds: float) -> str:
+    """A duration in s, min or h."""
+    if seconds < 120.0:
+        return f"{number(seconds)} s"
+    if seconds < 7200.0:
+        return f"{number(seconds / 60.0)} min"
+    return f"{number(seconds / 3600.0)} h"
+
+
+def percentage(part: float, whole: float) -> str:
+    """A ratio in percent, rounded down; 100 % only if `part` equals `whole`."""
+    if not whole:
+        return "–"
+    percent = 100.0 * part / whole
+    return f"{math.floor(percent * 10.0) / 10.0:g} %" if part < whole else "100 %"

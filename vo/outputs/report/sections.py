@@ -3,20 +3,104 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import cv2
+import numpy as np
 
 from vo.base.config import Config
+from vo.base.files.bounded_documents import load_yaml
+from vo.base.types import Bytes, Ints
 from vo.outputs.report.entry import Entry, Thumbnail
-from vo.outputs.report.markup import Markup, element, join, table
+from vo.outputs.report.markup import Markup, element, inline_svg, join, number, table
 from vo.outputs.report.plots.catalogue import Plot
 from vo.outputs.report.plots.style import SERIES
-from vo.outputs.report.quantities import number
-from vo.outputs.report.settings import changed_settings
-from vo.outputs.report.svg import inline_svg
+from vo.outputs.report.run_folder import FrameTable
 from vo.outputs.report.verdict import key_figures, verdict
+
+
+def changed_settings(texts: Sequence[str], defaults: Config) -> dict[str, list[str]]:
+    """Values of each run by `section.key`, for settings that differ from the default in any run.
+
+    `texts`: `config.yaml` of each run; an invalid one has no values. `defaults`: the default
+    settings.
+    """
+    default_values = dict(_flat(defaults.model_dump(mode="json")))
+    found = [dict(_flat(_parsed(text))) for text in texts]
+    names = [
+        *default_values,
+        *(name for each in found for name in each if name not in default_values),
+    ]
+    return {
+        name: [str(each.get(name, "–")) for each in found]
+        for name in dict.fromkeys(names)
+        if any(name in each and each[name] != default_values.get(name) for each in found)
+    }
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    try:
+        parsed = load_yaml(text)
+    except ValueError:
+        return {}
+    return parsed if isinstance(parsed, dict) else {}
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+_MAX_EVENTS = 8
+_MAX_LOSSES = 3
+_WIDTH_PX = 320
+
+
+class Event(NamedTuple):
+    """An event at a frame; `row` is the row of the frame in the table."""
+
+    row: int
+    name: str
+
+
+def choose_events(frames: FrameTable) -> list[Event]:
+    """The first pose, losses, recoveries and a uniform subset of keyframes, in time order."""
+    tracked = frames.state == "tracking"
+    if not tracked.any():
+        return [Event(0, "first frame")] if len(frames) else []
+    found = {int(np.argmax(tracked)): "first pose"}
+    change = np.flatnonzero(np.diff(tracked.astype(np.int8))) + 1
+    for row in _uniform_subset(change[~tracked[change]], _MAX_LOSSES):
+        found.setdefault(row, "lost")
+        later = np.flatnonzero(tracked[row:])
+        if len(later):
+            found.setdefault(row + int(later[0]), "recovered")
+    keyframes = np.array([r for r in np.flatnonzero(frames.keyframe) if r not in found], np.int64)
+    for row in _uniform_subset(keyframes, _MAX_EVENTS - len(found)):
+        found[row] = "keyframe"
+    return [Event(row, found[row]) for row in sorted(found)]
+
+
+def _uniform_subset(rows: Ints, max_count: int) -> list[int]:
+    if len(rows) <= max_count:
+        return [int(row) for row in rows]
+    return [
+        int(rows[i]) for i in np.linspace(0, len(rows) - 1, max(max_count, 0)).round().astype(int)
+    ]
+
+
+def shrink(image: Bytes) -> Bytes:
+    """An image (H, W) reduced to the width of a thumbnail."""
+    height, width = image.shape
+    if width <= _WIDTH_PX:
+        return image
+    size = (_WIDTH_PX, max(round(height * _WIDTH_PX / width), 1))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
 
 _JPEG_QUALITY = 70
 _SIGNS = {"good": "✓", "caution": "!", "bad": "✕"}

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from vo.base.printable import counted
 from vo.outputs.evaluation.report import Evaluation
 from vo.outputs.report.entry import Entry
-from vo.outputs.report.quantities import duration, length, number, percentage
+from vo.outputs.report.markup import duration, length, number, percentage
 from vo.outputs.results.verdict import Grade, VerdictFacts, assess
 
 _ALIGNED = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from vo.base.faults import FaultKind
-from vo.outputs.results.fault_log import FaultRecord
+from vo.outputs.results.run_statistics import FaultRecord
 
 # Texts with {frames} ("frame 7", "12 of the frames 7 to 30"), {value}, {size} (its magnitude) and
 # {place} (", mostly at the bottom,").

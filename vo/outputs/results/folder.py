@@ -10,11 +10,8 @@ from typing import Any
 
 from vo.base.errors import OutputError
 from vo.base.types import Trajectory
-from vo.outputs.results.covariance import COVARIANCE_HEADING
-from vo.outputs.results.frames import FRAMES_HEADING
-from vo.outputs.results.growing_file import PARTIAL_SUFFIX, GrowingFile
-from vo.outputs.results.poses import POSES_HEADING
-from vo.outputs.results.reserved_space import ReservedSpace
+from vo.outputs.results.growing_file import PARTIAL_SUFFIX, GrowingFile, ReservedSpace
+from vo.outputs.results.tables import COVARIANCE_HEADING, FRAMES_HEADING, POSES_HEADING
 from vo.recordings.formats.trajectory import tum_line
 
 TRAJECTORY = "trajectory.tum"

@@ -1,9 +1,12 @@
-"""Checks that outputs replace neither inputs nor each other, and stay out of the recording."""
+"""Outputs replace neither inputs, nor each other, nor files of others, nor a running run's."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePath
 
 from vo.base.errors import OutputError
@@ -80,3 +83,68 @@ def refuse_to_collide(folder: Path, outputs: Iterable[Path | None]) -> None:
         if place in taken:
             raise OutputError(f"{target} is already an output of this run; choose another file")
         taken.add(place)
+
+
+def refuse_links(outputs: Iterable[Path | None]) -> None:
+    """Check that no output is a symbolic link to a file, which would be replaced behind it.
+
+    Raises:
+        OutputError: one is; links to folders, pipes and devices are followed.
+    """
+    for target in (path for path in outputs if path is not None):
+        if target.is_symlink() and (target.is_file() or not target.exists()):
+            raise OutputError(
+                f"{target} is a symbolic link, which is not followed; choose another file"
+            )
+
+
+_LOCKED = (errno.EAGAIN, errno.EACCES)
+
+
+@contextmanager
+def locked_folder(path: Path) -> Iterator[None]:
+    """Lock a folder against other runs inside this block; create it if it is missing.
+
+    The files in it are not changed.
+
+    Raises:
+        OutputError: the folder cannot be written to, another run is writing to it, or it contains
+            files with the names of results that are not results of a run.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        folder = os.open(path, os.O_RDONLY)
+    except OSError as error:
+        is_file = path.exists() and not path.is_dir()
+        reason = "it is a file" if is_file else error.strerror or str(error)
+        raise _refusal(path, reason) from error
+    try:
+        if not os.access(path, os.W_OK):
+            raise _refusal(path, os.strerror(errno.EACCES))
+        _lock(folder, path)
+        _refuse_foreign_files(path)
+        yield
+    finally:
+        os.close(folder)  # releases the lock
+
+
+def _lock(folder: int, path: Path) -> None:
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _LOCKED:  # other errors: network file systems without locks, continue
+            raise _refusal(path, "another run is writing there") from error
+
+
+def _refuse_foreign_files(path: Path) -> None:
+    found = [path / name for name in RESULTS if (path / name).exists()]
+    partial = any((path / name).exists() for name in PARTIAL_FILES)
+    if found and not partial and not is_run_folder(path):
+        raise OutputError(
+            f"{found[0]} is not a result of an earlier run and would be replaced; "
+            "choose another `output`"
+        )
+
+
+def _refusal(path: Path, reason: str) -> OutputError:
+    return OutputError(f"cannot write to folder {path}: {reason}; choose another `output`")

@@ -1,18 +1,158 @@
-"""Statistics of a run, updated frame by frame."""
+"""Statistics of a run, updated frame by frame: faults by kind, frames without a pose, wall time."""
 
 from __future__ import annotations
 
 from array import array
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from vo.base.failures import Failure, FailureReason
+from vo.base.failures import Failure, FailureReason, ImageDefect, describe
+from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import median, percentiles
-from vo.base.types import Estimate, State
-from vo.outputs.results.fault_log import FaultLog
+from vo.base.types import Estimate, Ints, Skipped, State
+
+# Found by tracking, and not in the images alone.
+_OF_TRACKING = (
+    FaultKind.TWO_MOTIONS,
+    FaultKind.IMPLAUSIBLE_STEP,
+    FaultKind.WRONG_STEREO_CALIBRATION,
+    FaultKind.WRONG_LENS,
+)
+
+
+class FaultRecord(NamedTuple):
+    """All faults of one kind in a run."""
+
+    kind: FaultKind
+    is_handled: bool  # whether all of them were handled, see `Fault`
+    frames: int  # number of frames with it; 0 for a fault of the whole recording
+    first: int | None  # number of the first frame with it, None for a fault of the whole recording
+    last: int | None  # number of the last frame with it, or None
+    value: float  # of the largest magnitude, in the unit of its message
+    place: str = ""  # where the one of this value lies in the image; empty if that does not apply
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {**self._asdict(), "kind": self.kind.value, "value": round(self.value, 4)}
+
+
+class FaultLog:
+    """Collects faults; its size does not depend on the length of a run."""
+
+    def __init__(self) -> None:
+        self._records: dict[FaultKind, FaultRecord] = {}
+
+    def add(self, faults: Iterable[Fault], frame: int | None = None) -> None:
+        """Add the faults of a frame, or those of the whole recording."""
+        for fault in faults:
+            before = self._records.get(fault.kind)
+            count = 0 if frame is None else 1
+            record = FaultRecord(
+                fault.kind, fault.is_handled, count, frame, frame, fault.value, fault.place
+            )
+            self._records[fault.kind] = record if before is None else _joined(before, record)
+
+    def withdraw_from(self, frame: int) -> None:
+        """Remove what tracking has found from a frame on, which has been tracked anew."""
+        for kind in _OF_TRACKING:
+            record = self._records.get(kind)
+            if record is not None and record.first is not None and record.first >= frame:
+                del self._records[kind]
+
+    def records(self) -> tuple[FaultRecord, ...]:
+        """One record for each kind, in the order of `FaultKind`."""
+        return tuple(self._records[kind] for kind in FaultKind if kind in self._records)
+
+
+def _joined(before: FaultRecord, new: FaultRecord) -> FaultRecord:
+    larger = max(before, new, key=lambda record: abs(record.value))
+    return FaultRecord(
+        before.kind,
+        before.is_handled and new.is_handled,
+        before.frames + new.frames,
+        new.first if before.first is None else before.first,
+        before.last if new.last is None else new.last,
+        larger.value,
+        larger.place,
+    )
+
+
+_SKIPPED, _UNTRACKED = "skipped", "untracked"
+
+
+class FrameRange(NamedTuple):
+    """Consecutive frames without a pose, with the reason of the last of them."""
+
+    first: int  # number of the first frame
+    last: int  # number of the last frame
+    frames: int  # number of frames
+    state: str  # of the odometry, or `skipped`, or `untracked`
+    reason: str
+    defect: ImageDefect | None = None  # of their images, None without one
+
+
+def ranges_without_pose(
+    statistics: RunStatistics, with_pose: Ints, skipped: Sequence[Skipped], untracked: Ints
+) -> tuple[list[FrameRange], dict[str, int]]:
+    """Consecutive frames with the same state and image defect, and the number of frames by state.
+
+    A frame without a causal pose may have a smoothed one: the first of a monocular initial pair.
+
+    `with_pose`: numbers of the frames that have a pose. `skipped`: frames that could not be read.
+    `untracked`: numbers of the frames that `tracking.every` left out.
+    """
+    unreadable = {each.index: each.reason for each in skipped}
+    left_out = set(untracked.tolist())
+    reached = np.array(sorted({*statistics.frames, *unreadable, *left_out}), dtype=np.int64)
+    missing = np.flatnonzero(~np.isin(reached, with_pose))
+    single = [
+        _single_frame(frame, statistics, unreadable, left_out)
+        for frame in reached[missing].tolist()
+    ]
+    is_next = np.diff(missing, prepend=-2) == 1
+    return _merged(zip(single, is_next.tolist(), strict=True)), _count_states(single)
+
+
+def _single_frame(
+    frame: int, statistics: RunStatistics, unreadable: Mapping[int, str], left_out: set[int]
+) -> FrameRange:
+    """The range of one frame."""
+    if frame in left_out:
+        reason = "left out by tracking.every, and not between two tracked frames"
+        return FrameRange(frame, frame, 1, _UNTRACKED, reason)
+    if frame in unreadable:
+        return FrameRange(frame, frame, 1, _SKIPPED, unreadable[frame])
+    if frame not in statistics.without_pose:
+        reason = "its pose was discarded later"
+        return FrameRange(frame, frame, 1, State.LOST.value, reason)
+    state, failure = statistics.without_pose[frame]
+    if failure is not None and failure.reason is FailureReason.REPEATED_IMAGE:
+        return FrameRange(frame, frame, 1, _SKIPPED, describe(failure))
+    shown = State.STARTING if state is State.STARTING else State.LOST
+    defect = None if failure is None else failure.defect
+    return FrameRange(frame, frame, 1, shown.value, describe(failure), defect)
+
+
+def _merged(frames: Iterable[tuple[FrameRange, bool]]) -> list[FrameRange]:
+    """Join ranges of single frames, each with a flag whether it follows the one before it."""
+    ranges: list[FrameRange] = []
+    for frame, is_next in frames:
+        last = ranges[-1] if is_next else None
+        if last and last.state == frame.state and last.defect is frame.defect:
+            ranges[-1] = frame._replace(first=last.first, frames=last.frames + 1)
+        else:
+            ranges.append(frame)
+    return ranges
+
+
+def _count_states(frames: Sequence[FrameRange]) -> dict[str, int]:
+    count = dict.fromkeys((State.STARTING.value, State.LOST.value, _SKIPPED, _UNTRACKED), 0)
+    for frame in frames:
+        count[frame.state] += 1
+    return count
 
 
 class MissingPose(NamedTuple):
@@ -110,3 +250,18 @@ class RunStatistics:
         """Count new landmarks: ids increase, so those above the highest so far are new."""
         self.landmarks += int(np.count_nonzero(ids > self._highest_landmark))
         self._highest_landmark = max(self._highest_landmark, int(ids.max(initial=-1)))
+
+
+class Profile(NamedTuple):
+    """Wall time of the main thread."""
+
+    wall_ms: float
+    # by stage, adding up to `wall_ms`; time outside of all stages is `other`
+    stages_ms: Mapping[str, float]
+
+
+def make_profile(wall_ms: float, stages_ms: Mapping[str, float]) -> Profile:
+    """Round to microseconds, and add the stage `other`."""
+    rounded = {stage: round(spent, 3) for stage, spent in stages_ms.items()}
+    wall_ms = round(wall_ms, 3)
+    return Profile(wall_ms, {**rounded, "other": round(wall_ms - sum(rounded.values()), 3)})

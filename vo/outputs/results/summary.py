@@ -16,11 +16,15 @@ from vo.base.records.metric_scale import ScaleFindings, has_all_scales
 from vo.base.records.placed_frames import PlacedFrames
 from vo.base.types import Ints, Skipped, State
 from vo.outputs.results.environment import peak_rss_mb, versions
-from vo.outputs.results.fault_log import FaultRecord
-from vo.outputs.results.frames_without_pose import FrameRange, ranges_without_pose
 from vo.outputs.results.live_summary import LiveState, LiveSummary, delay_of
-from vo.outputs.results.profile import Profile
-from vo.outputs.results.run_statistics import RunStatistics, StageTime
+from vo.outputs.results.run_statistics import (
+    FaultRecord,
+    FrameRange,
+    Profile,
+    RunStatistics,
+    StageTime,
+    ranges_without_pose,
+)
 from vo.outputs.results.verdict import Verdict, VerdictFacts, assess
 from vo.outputs.results.warnings import run_warnings
 

@@ -12,8 +12,8 @@ from vo.base.records.calibration_errors import LensError, RightCameraError
 from vo.base.records.closed_loops import MapUse
 from vo.base.records.inertial_use import InertialUse
 from vo.outputs.results.fault_warnings import fault_warnings
-from vo.outputs.results.frames_without_pose import FrameRange
 from vo.outputs.results.live_summary import live_warnings
+from vo.outputs.results.run_statistics import FrameRange
 from vo.outputs.results.verdict import MIN_INLIERS
 
 if TYPE_CHECKING:

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING
 
 from vo.base.errors import OutputError
 from vo.base.extras import require
-from vo.outputs.streaming.pose_record import SCHEMA_FILE
-from vo.outputs.streaming.sink import PoseUpdate
-from vo.outputs.streaming.thinned_path import ThinnedPath
+from vo.outputs.streaming.sink import SCHEMA_FILE, PoseUpdate, ThinnedPath
 from vo.recordings.formats.foxglove import encode, schema
 from vo.recordings.formats.foxglove_scene import path_message, path_schema
 from vo.recordings.formats.messages import FrameTransform, PoseMessage, Schema, TransformsMessage

@@ -1,11 +1,14 @@
-"""Poses as lines of JSON in a file, a pipe or a terminal."""
+"""Poses as lines of JSON in a file, a pipe or a terminal, and as UDP datagrams."""
 
 from __future__ import annotations
 
 import logging
+import os
 import select
+import socket
 from typing import IO
 
+from vo.base.errors import OutputError
 from vo.outputs.streaming.sink import PoseUpdate
 
 _log = logging.getLogger(__name__)
@@ -64,3 +67,61 @@ class JsonLines:
         """Report how many poses were left out; every other line is written."""
         if self._left_out:
             _log.warning("%s: %d poses were left out", self.name, self._left_out)
+
+
+class UdpSender:
+    """Sends one datagram for each frame; those that do not arrive are counted, where known.
+
+    `host`: name or address; IPv4 where it has both, as most programs listen there.
+
+    Raises:
+        OutputError: the host is unknown, or there is no route to it.
+    """
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        self.name = name
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+            family, *_, where = min(found, key=lambda each: each[0] != socket.AF_INET)
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            # Only a connected socket is told that nothing listens on the other machine's port.
+            self._socket.connect(where)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"{name}: {reason}; write udp://HOST:PORT for poses") from error
+        self._sent = self._lost = 0
+
+    def send(self, update: PoseUpdate) -> None:
+        """Send a datagram; an error is no reason to stop."""
+        self._sent += 1
+        try:
+            self._socket.send(update.record)
+        except ConnectionRefusedError as error:  # of an earlier datagram; this one was not sent
+            self._count(error)
+            self._send_again(update.record)
+        except OSError as error:
+            self._count(error)
+
+    def _send_again(self, record: bytes) -> None:
+        try:
+            self._socket.send(record)
+        except OSError as error:
+            self._count(error)
+
+    def _count(self, error: OSError) -> None:
+        self._lost += 1
+        self._reason = error.strerror
+        if self._lost == 1:
+            _log.warning("%s: poses do not arrive (%s); the run goes on", self.name, self._reason)
+
+    def close(self) -> None:
+        """Close the socket, and report the number of lost datagrams."""
+        number = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if number:  # of the last datagram
+            self._count(OSError(number, os.strerror(number)))
+        self._socket.close()
+        if self._lost:
+            counts = f"at least {self._lost} of {self._sent} poses did not arrive"
+            _log.warning("%s: %s (%s)", self.name, counts, self._reason)

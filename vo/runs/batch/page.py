@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from vo.outputs.report.markup import Markup, element, join
+from vo.outputs.report.markup import Markup, duration, element, join, length, number, percentage
 from vo.outputs.report.page import document
-from vo.outputs.report.quantities import duration, length, number, percentage
 from vo.runs.batch.execution import FAILED, LOG, REPORT
 from vo.runs.batch.job import JobResult
 from vo.runs.batch.planning import Plan

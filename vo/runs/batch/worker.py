@@ -137,8 +137,8 @@ def _run(job: Job, folder: Path, threads: int, flags: Mapping[str, Flag]) -> Job
 
 def _errors(job: Job, source: str, folder: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Errors of a `JobResult` by name, empty without ground truth; and remarks."""
-    from vo.outputs.evaluation.causal_path import tracked_part
-    from vo.outputs.evaluation.own_truth import causal_ate_m
+    from vo.outputs.evaluation.association import tracked_part
+    from vo.outputs.evaluation.inputs import causal_ate_m
     from vo.outputs.evaluation.report import evaluate
     from vo.recordings.formats.trajectory import read_tum
 
@@ -161,8 +161,7 @@ def _errors(job: Job, source: str, folder: Path) -> tuple[dict[str, Any], tuple[
 
 def _inputs(job: Job, source: str, folder: Path) -> Inputs | None:
     """The path of a run and its ground truth; None without one."""
-    from vo.outputs.evaluation.inputs import load_inputs
-    from vo.outputs.evaluation.own_truth import inputs_with_own_truth
+    from vo.outputs.evaluation.inputs import inputs_with_own_truth, load_inputs
 
     if job.truth is None:
         return inputs_with_own_truth(folder, Path(source), _truth_of(job, source))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.outputs.report.entry import Entry
-from vo.outputs.report.plots import errors, loops, markers, paths, style, times, tracking
+from vo.outputs.report.plots import errors, paths, style, tracking
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,23 +48,23 @@ _ALL_RUNS = (
 )
 _COMPARISONS = (
     ("inliers", "Inliers over time.", tracking.draw_inliers),
-    ("times", "Cumulative distribution of the wall time per frame.", times.draw_total_times),
+    ("times", "Cumulative distribution of the wall time per frame.", tracking.draw_total_times),
 )
 _LOOPS = (
     "loops",
     "The path from above, before and after loops were closed, and the keyframes that each loop "
     "connects.",
-    loops.draw_loops,
+    paths.draw_loops,
 )
 _SINGLE_RUN = (
     _LOOPS,
-    ("markers", "The markers and the path from above.", markers.draw_markers),
+    ("markers", "The markers and the path from above.", paths.draw_markers),
     (
         "counts",
         "Matched landmarks, and inliers among them, over time.",
         tracking.draw_counts,
     ),
-    ("stages", "Wall time of the frames by stage.", times.draw_stages),
+    ("stages", "Wall time of the frames by stage.", tracking.draw_stages),
 )
 
 
