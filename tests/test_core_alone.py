@@ -21,7 +21,6 @@ NEEDS_EXTRA = {
     "vo.recordings.sources.live.pyav_device": "av",
     "vo.recordings.sources.logs.video": "av",
     "vo.recordings.sources.video": "av",
-    "vo.recordings.sources.video_index": "av",
 }
 """Modules that import an optional package at their top; others import them inside functions."""
 

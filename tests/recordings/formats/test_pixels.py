@@ -69,8 +69,7 @@ def test_bayer_patterns_match_their_names(pattern: str, bits: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("encoding", "luminance_channel"),
-    [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0)],
+    ("encoding", "luminance_channel"), [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0)]
 )
 def test_grey_of_yuv_is_its_luminance(encoding: str, luminance_channel: int) -> None:
     pixels = np.full((6, 8, 2), 128, np.uint8)

@@ -20,7 +20,7 @@ from vo.base.errors import SourceError, VoError
 from vo.recordings.formats.messages import ImageMessage
 from vo.recordings.sources.logs.log import Entry
 from vo.recordings.sources.mcap.file import McapFile
-from vo.recordings.sources.mcap.index import NO_CHUNK
+from vo.recordings.sources.mcap.records import NO_CHUNK
 from vo.recordings.sources.registry import open_source
 
 KINDS = {
@@ -121,10 +121,7 @@ def test_all_messages_before_a_wrong_byte_are_read(whole: Path, tmp_path: Path) 
 @pytest.mark.parametrize("kind", ["zstd", "lz4", "plain"])
 def test_wrong_byte_loses_at_most_its_chunk(kind: str, tmp_path: Path) -> None:
     path = write_log(
-        tmp_path / "log.mcap",
-        layouts.log_messages(),
-        compression=KINDS[kind][0],
-        chunk_size=8_000,
+        tmp_path / "log.mcap", layouts.log_messages(), compression=KINDS[kind][0], chunk_size=8_000
     )
     file = McapFile(path)
     before, chunks = contents(file), file._contents.chunks

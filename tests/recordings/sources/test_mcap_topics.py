@@ -8,23 +8,12 @@ import cv2
 import layouts
 import numpy as np
 import pytest
-from camera_logs import (
-    CAM1_FROM_CAM0,
-    FISHEYE,
-    LENS,
-    calibration,
-    fixed,
-    images,
-    log,
-    stereo,
-)
+from camera_logs import CAM1_FROM_CAM0, FISHEYE, LENS, calibration, fixed, images, log, stereo
 from mcap_logs import DIALECTS
 
 from vo.base.errors import SourceError
 from vo.base.geometry.transforms import inverse
-from vo.recordings.formats.messages import (
-    CompressedImageMessage,
-)
+from vo.recordings.formats.messages import CompressedImageMessage
 from vo.recordings.sources.registry import open_source
 
 

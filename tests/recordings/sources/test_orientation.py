@@ -16,7 +16,7 @@ from vo.base.errors import CalibrationError, SourceError, VoError
 from vo.cli.app import app
 from vo.outputs.evaluation.inputs import load_inputs
 from vo.recordings.formats.calibration import read_calibration
-from vo.recordings.formats.exif import exif_orientation
+from vo.recordings.sources.orientation import exif_orientation
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.uncalibrated import open_uncalibrated
 

@@ -96,8 +96,7 @@ def test_images_of_raw_messages_are_exact(
 
 
 @pytest.mark.parametrize(
-    ("pattern", "corner"),
-    [("rggb", (0, 0)), ("bggr", (1, 1)), ("gbrg", (1, 0)), ("grbg", (0, 1))],
+    ("pattern", "corner"), [("rggb", (0, 0)), ("bggr", (1, 1)), ("gbrg", (1, 0)), ("grbg", (0, 1))]
 )
 def test_bayer_patterns_are_converted_to_colour(
     tmp_path: Path, pattern: str, corner: tuple[int, int]

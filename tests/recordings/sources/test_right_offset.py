@@ -14,8 +14,8 @@ from vo.base.types import Ints
 from vo.cli.app import app
 from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.listing import Shot
+from vo.recordings.sources.pairing import constant_offset_ns
 from vo.recordings.sources.registry import open_source
-from vo.recordings.sources.right_offset import constant_offset_ns
 from vo.tools.inspection.opening import open_leniently
 from vo.tools.inspection.report import inspect
 

@@ -28,11 +28,7 @@ def number(image: Bytes) -> int:
 
 
 def write(
-    path: Path,
-    codec: str,
-    pixels: str = "yuv420p",
-    ticks: list[int] = TICKS,
-    **options: str,
+    path: Path, codec: str, pixels: str = "yuv420p", ticks: list[int] = TICKS, **options: str
 ) -> Path:
     unit = Fraction(1, 90000)
     with av.open(str(path), "w") as container:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -22,7 +23,6 @@ from vo.base.errors import SourceError
 from vo.base.files.bounded_documents import load_json
 from vo.recordings.formats.camera_messages import RawCalibration, calibration_message
 from vo.recordings.formats.foxglove import imu_class
-from vo.recordings.formats.message_poses import rigid_transform, vector3
 from vo.recordings.formats.messages import (
     CalibrationMessage,
     Codec,
@@ -34,6 +34,8 @@ from vo.recordings.formats.messages import (
     PoseMessage,
     ReadMessage,
     TransformsMessage,
+    rigid_transform,
+    vector3,
 )
 
 _NS_PER_S = 1_000_000_000
@@ -112,14 +114,8 @@ def _image(record: Any) -> ImageMessage:
     )
 
 
-def _compressed(record: Any) -> CompressedImageMessage:
-    stamp_ns = _stamp_ns(record.timestamp)
-    return CompressedImageMessage(stamp_ns, record.frame_id, record.format, record.data)
-
-
-def _video(record: Any) -> CompressedVideoMessage:
-    stamp_ns = _stamp_ns(record.timestamp)
-    return CompressedVideoMessage(stamp_ns, record.frame_id, record.format, record.data)
+def _encoded(kind: Callable[..., ReadMessage], record: Any) -> ReadMessage:
+    return kind(_stamp_ns(record.timestamp), record.frame_id, record.format, record.data)
 
 
 def _calibration(record: Any) -> CalibrationMessage:
@@ -167,8 +163,16 @@ def _transform(record: Any) -> FrameTransform:
 
 _CONVERTERS: dict[str, tuple[type[ReadMessage], type[PbMessage], Callable[[Any], ReadMessage]]] = {
     "foxglove.RawImage": (ImageMessage, RawImage, _image),
-    "foxglove.CompressedImage": (CompressedImageMessage, CompressedImage, _compressed),
-    "foxglove.CompressedVideo": (CompressedVideoMessage, CompressedVideo, _video),
+    "foxglove.CompressedImage": (
+        CompressedImageMessage,
+        CompressedImage,
+        partial(_encoded, CompressedImageMessage),
+    ),
+    "foxglove.CompressedVideo": (
+        CompressedVideoMessage,
+        CompressedVideo,
+        partial(_encoded, CompressedVideoMessage),
+    ),
     "foxglove.CameraCalibration": (CalibrationMessage, CameraCalibration, _calibration),
     "foxglove.FrameTransform": (TransformsMessage, PbTransform, _one_transform),
     "foxglove.FrameTransforms": (TransformsMessage, FrameTransforms, _transforms),

@@ -125,9 +125,7 @@ def _ply(data: bytes) -> Mesh:
     return _mesh(vertices, triangles, colours)
 
 
-def _ply_header(
-    text: str,
-) -> tuple[str, list[tuple[str, int, list[tuple[str, tuple[str, ...]]]]]]:
+def _ply_header(text: str) -> tuple[str, list[tuple[str, int, list[tuple[str, tuple[str, ...]]]]]]:
     """The encoding, and name, count and properties of each element."""
     encoding = ""
     elements: list[tuple[str, int, list[tuple[str, tuple[str, ...]]]]] = []

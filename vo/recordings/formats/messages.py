@@ -10,8 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+
+from vo.base.errors import SourceError
+from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
 from vo.base.types import Camera, Floats
 
 ImageFormat = Literal["png", "jpeg"]
@@ -21,6 +25,7 @@ HEAD_BYTES = 256
 
 _PLUMB_BOB_COEFFICIENTS = 5
 _BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
+_MAX_DISTANCE_M = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,3 +236,17 @@ def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:
         return "rational_polynomial", coefficients
     missing = _PLUMB_BOB_COEFFICIENTS - len(coefficients)
     return "plumb_bob", coefficients + [0.0] * missing
+
+
+def vector3(vector: Any) -> Floats:
+    """The coordinates x, y, z as (3,)."""
+    return np.array([vector.x, vector.y, vector.z])
+
+
+def rigid_transform(position: Any, rotation: Any) -> Floats:
+    """The (4, 4) transform of a position (x, y, z) and a quaternion (x, y, z, w)."""
+    quat = np.array([rotation.x, rotation.y, rotation.z, rotation.w])
+    xyz = np.array([position.x, position.y, position.z])
+    if not (np.isfinite(quat).all() and np.any(quat) and (np.abs(xyz) < _MAX_DISTANCE_M).all()):
+        raise SourceError(f"position {xyz.tolist()} with quaternion {quat.tolist()} is not a pose")
+    return make_transform(rotation_from_quat_xyzw(quat), xyz)

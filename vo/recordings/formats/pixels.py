@@ -15,6 +15,9 @@ from vo.recordings.formats.messages import ImageMessage
 
 Pixels = NDArray[np.unsignedinteger]
 
+DEPTH_UNITS_PER_METRE = 1000.0
+"""Depth is in millimetres, as in 16-bit images of ROS (REP 118); floats in metres are converted."""
+
 
 @dataclass(frozen=True)
 class _Layout:
@@ -129,3 +132,17 @@ def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
         strides=(step, layout.channels * layout.bytes_per_sample, layout.bytes_per_sample),
     )
     return image.astype(kind, copy=False)
+
+
+def depth_pixels(message: ImageMessage) -> Pixels:
+    """The (H, W) depth in millimetres, as uint16 or float32; floats of the message are metres."""
+    if message.pixel_format.strip().upper() != "32FC1":
+        return grey_pixels(message)
+    height, width = message.height, message.width
+    step = message.step or 4 * width
+    if min(height, width) < 1 or step < 4 * width or len(message.data) < height * step:
+        raise SourceError(f"{width}x{height} pixels do not fit {len(message.data)} bytes")
+    stored = np.dtype(">f4" if message.big_endian else "<f4")
+    metres = np.ndarray((height, width), stored, message.data, strides=(step, 4))
+    finite = np.where(np.isfinite(metres), metres, 0.0).astype(np.float32)
+    return cast("Pixels", finite * np.float32(DEPTH_UNITS_PER_METRE))

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from vo.base.errors import SourceError
-from vo.base.files.bounded_files import read_table_text
 from vo.base.types import Floats, Ints
 from vo.recordings.formats.stamp_units import stamp_ns_from_seconds
+from vo.recordings.formats.table import table_text
 
 _log = logging.getLogger(__name__)
 _NS_PER_S = 1_000_000_000
@@ -142,13 +142,9 @@ def _table(
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        return read_table_text(path).splitlines()
-    except FileNotFoundError as error:
-        raise SourceError(f"{path} does not exist; give a file of positions") from error
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is not text"
-        raise SourceError(f"{path} cannot be read as positions: {reason}") from error
+    missing = "does not exist; give a file of positions"
+    not_text = "cannot be read as positions: it is not text"
+    return table_text(path, missing, not_text, " as positions").splitlines()
 
 
 def _columns(names: Sequence[str], wanted: Sequence[Sequence[str]]) -> list[int] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,6 @@ from rosbags.typesys.store import Typestore
 
 from vo.base.errors import SourceError
 from vo.recordings.formats.camera_messages import RawCalibration, calibration_message
-from vo.recordings.formats.message_poses import rigid_transform, vector3
 from vo.recordings.formats.messages import (
     CalibrationMessage,
     Codec,
@@ -29,6 +28,8 @@ from vo.recordings.formats.messages import (
     PositionFixMessage,
     ReadMessage,
     TransformsMessage,
+    rigid_transform,
+    vector3,
 )
 
 _NS_PER_S = 1_000_000_000
@@ -105,8 +106,7 @@ def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typ
         store = load_store(Stores.EMPTY)
         store.register(types)
         # All supported types have fields; an empty text is parsed to a type without any.
-        is_usable = bool(types[name][1]) and _is_complete(store, name)
-        if is_usable and _count_fields(store, name, set()) <= _MAX_FIELDS:
+        if types[name][1] and _count_fields(store, name, set()) <= _MAX_FIELDS:
             return store
     # The parser of rosbags is recursive, and raises errors of its own and of others.
     except (TypesysError, LookupError, ValueError, ArithmeticError, RecursionError):
@@ -117,24 +117,12 @@ def _store(name: str, encoding: str, definition: bytes, fallback: Stores) -> Typ
     return store
 
 
-def _is_complete(store: Typestore, name: str) -> bool:
-    """Whether all types in a type are defined."""
-    waiting, seen = [name], set[str]()
-    while waiting:
-        each = waiting.pop()
-        if each not in store.fielddefs:
-            return False
-        seen.add(each)
-        inside = (_named_type(description) for _, description in store.fielddefs[each][1])
-        waiting += [other for other in inside if other is not None and other not in seen]
-    return True
-
-
 def _count_fields(store: Typestore, name: str, outer: set[str]) -> int:
     """Fields of a type, those of fixed arrays counted again and again: rosbags unrolls its code.
 
     Raises:
         ValueError: the type contains itself.
+        KeyError: a type in it is not defined.
     """
     if name in outer:
         raise ValueError(f"{name} contains itself")
@@ -154,14 +142,6 @@ def _count_fields(store: Typestore, name: str, outer: set[str]) -> int:
         if count > _MAX_FIELDS:
             break
     return count
-
-
-def _named_type(description: Any) -> str | None:
-    """The message type of a field, also of its elements; None for numbers and texts."""
-    kind, content = description
-    if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        return _named_type(content[0])
-    return str(content) if kind is Nodetype.NAME else None
 
 
 def _peek_cdr(head: bytes) -> int:
@@ -198,24 +178,13 @@ def _image(record: Any) -> ImageMessage:
 
 
 def _compressed(record: Any) -> CompressedImageMessage:
-    return CompressedImageMessage(
-        _stamp_ns(record.header.stamp),
-        record.header.frame_id,
-        record.format,
-        record.data.tobytes(),
-    )
+    stamp_ns, frame = _stamp_ns(record.header.stamp), record.header.frame_id
+    return CompressedImageMessage(stamp_ns, frame, record.format, record.data.tobytes())
 
 
-def _foxglove_compressed(record: Any) -> CompressedImageMessage:
-    return CompressedImageMessage(
-        _stamp_ns(record.timestamp), record.frame_id, record.format, record.data.tobytes()
-    )
-
-
-def _video(record: Any) -> CompressedVideoMessage:
-    return CompressedVideoMessage(
-        _stamp_ns(record.timestamp), record.frame_id, record.format, record.data.tobytes()
-    )
+def _foxglove(kind: Callable[..., ReadMessage], record: Any) -> ReadMessage:
+    data = record.data.tobytes()
+    return kind(_stamp_ns(record.timestamp), record.frame_id, record.format, data)
 
 
 def _calibration(record: Any) -> CalibrationMessage:
@@ -298,8 +267,14 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "sensor_msgs/msg/CompressedImage": (CompressedImageMessage, _compressed),
     "sensor_msgs/msg/CameraInfo": (CalibrationMessage, _calibration),
     "sensor_msgs/msg/Imu": (ImuMessage, _imu),
-    "foxglove_msgs/msg/CompressedImage": (CompressedImageMessage, _foxglove_compressed),
-    "foxglove_msgs/msg/CompressedVideo": (CompressedVideoMessage, _video),
+    "foxglove_msgs/msg/CompressedImage": (
+        CompressedImageMessage,
+        partial(_foxglove, CompressedImageMessage),
+    ),
+    "foxglove_msgs/msg/CompressedVideo": (
+        CompressedVideoMessage,
+        partial(_foxglove, CompressedVideoMessage),
+    ),
     "tf2_msgs/msg/TFMessage": (TransformsMessage, _transforms),
     "tf/msg/tfMessage": (TransformsMessage, _transforms),
     "geometry_msgs/msg/PoseStamped": (PoseMessage, _pose),

@@ -24,21 +24,28 @@ class Line(NamedTuple):
     has_commas: bool
 
 
+def table_text(path: Path, missing: str, not_text: str = "is not text", role: str = "") -> str:
+    """The text of a table; messages say what is `missing` or `not_text`, and what for (`role`)."""
+    try:
+        return read_table_text(path)
+    except FileNotFoundError as error:
+        raise SourceError(f"{path} {missing}") from error
+    except UnicodeDecodeError as error:
+        raise SourceError(f"{path} {not_text}") from error
+    except OSError as error:
+        raise SourceError(f"{path} cannot be read{role}: {error.strerror or error}") from error
+
+
 def read_table(path: Path) -> list[Line]:
     """Read the lines of data, without comments, blank lines and a CSV header.
 
     An incomplete last line, left by a program that was killed, is dropped with a warning.
     """
-    try:
-        text = read_table_text(path)
-    except FileNotFoundError as error:
-        raise SourceError(f"{path} does not exist; give the path of a trajectory file") from error
-    except UnicodeDecodeError as error:
-        raise SourceError(
-            f"{path} is not text; trajectories are TUM, KITTI or EuRoC text"
-        ) from error
-    except OSError as error:
-        raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
+    text = table_text(
+        path,
+        "does not exist; give the path of a trajectory file",
+        "is not text; trajectories are TUM, KITTI or EuRoC text",
+    )
     lines = _data_lines(path, text)
     if lines and not _is_number(lines[0].fields[0]) and "timestamp" in lines[0].fields[0].lower():
         lines = lines[1:]

@@ -24,14 +24,14 @@ from vo.recordings.formats.calibration import (
     read_calibration,
 )
 from vo.recordings.formats.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
+from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.recordings.sources.images import Pixels, StoredImage
 from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.listing import Shot, median_interval_ns
 from vo.recordings.sources.orientation import warn_of_turned
-from vo.recordings.sources.pairing import pair_by_stamp
-from vo.recordings.sources.right_offset import constant_offset_ns, shifted
+from vo.recordings.sources.pairing import constant_offset_ns, pair_by_stamp, shifted
 from vo.recordings.sources.sequence import ImageSequence, ListedImages
 
 _CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".conf", ".ini", ".txt")
@@ -58,9 +58,9 @@ class RecordingContents:
     name: str
     format: str
     left: Sequence[Shot]
-    right: Sequence[Shot] | None
     calibrate: Callable[[ImageSize], Calibration]
-    read_truth: Callable[[Calibration], Trajectory | None]
+    right: Sequence[Shot] | None = None
+    read_truth: Callable[[Calibration], Trajectory | None] = lambda _: None
     depth: Sequence[Shot] | None = None
     close: Callable[[], None] | None = None
     find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
@@ -85,10 +85,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
         rig=rig if partners else Rig(rig.cam0, has_depth=depth is not None),
         ground_truth=_truth(contents, calibration),
         images=ListedImages(
-            contents.left,
-            partners,
-            _grey_levels(contents, first, partners),
-            depth,
+            contents.left, partners, _grey_levels(contents, first, partners), depth
         ),
         close=contents.close,
         imus=contents.find_imus(calibration),
@@ -141,6 +138,12 @@ def _calibration_beside(candidates: Sequence[Path]) -> Path | None:
 def first_existing(candidates: Sequence[Path]) -> Path | None:
     """The first candidate that exists, or None."""
     return next((path for path in candidates if path.is_file()), None)
+
+
+def tum_truth(candidates: Sequence[Path]) -> Trajectory | None:
+    """The poses in the first candidate that exists, in TUM's format."""
+    file = first_existing(candidates)
+    return None if file is None else read_tum(file)
 
 
 def _first_image(shots: Sequence[Shot]) -> Pixels:
@@ -275,8 +278,7 @@ def _depth(contents: RecordingContents, calibration: Calibration, mode: Mode) ->
     images = associate_depth(contents.left, contents.depth)
     if not any(images):
         _log.warning(
-            "%s: depth not used, because no depth image is within 20 ms of an image",
-            contents.name,
+            "%s: depth not used, because no depth image is within 20 ms of an image", contents.name
         )
         return None
     return DepthImages(images, calibration.depth_per_metre or UNITS_PER_METRE)

@@ -1,27 +1,34 @@
-"""Plain folders of images, or of left/ and right/."""
+"""Plain folders of images, or of left/ and right/, and images that match a pattern."""
 
 from __future__ import annotations
 
+import glob
 import logging
 from collections.abc import Sequence
 from pathlib import Path
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
-from vo.base.types import Mode, Trajectory
-from vo.recordings.formats.trajectory import read_tum
-from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
-from vo.recordings.sources.images import ImageFile
-from vo.recordings.sources.listing import Shot, is_image_name, list_images
-from vo.recordings.sources.naming import shots_from_names
+from vo.base.files.bounded_files import read_text
+from vo.base.types import Mode
+from vo.recordings.sources.assembly import RecordingContents, calibration_reader, tum_truth
+from vo.recordings.sources.listing import (
+    Shot,
+    is_image_name,
+    list_images,
+    make_shots,
+    natural_key,
+    shots_from_names,
+    shots_from_times,
+)
 from vo.recordings.sources.pairing import copy_stamps
-from vo.recordings.sources.times_table import shots_from_times
 
 _log = logging.getLogger(__name__)
 
 _ASSUMED_INTERVAL_NS = 100_000_000
 _TIMES_FILES = ("times.txt", "timestamps.txt")
 _DSO_CAMERA = "camera.txt"
+_TRUTH_FILES = ("groundtruth.tum", "groundtruth.txt", "groundtruthSync.txt")
 
 
 def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
@@ -48,7 +55,7 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
                 *([path / _DSO_CAMERA] if (path / _DSO_CAMERA).is_file() else []),
             ],
         ),
-        read_truth=lambda _: _truth(path),
+        read_truth=lambda _: tum_truth([path / name for name in _TRUTH_FILES]),
         faults=faults,
     )
 
@@ -69,10 +76,7 @@ def _has_images(path: Path) -> bool:
 
 
 def assign_stamps(
-    images: Sequence[Path],
-    where: Path | str,
-    times: Path | None,
-    faults: list[Fault] | None = None,
+    images: Sequence[Path], where: Path | str, times: Path | None, faults: list[Fault] | None = None
 ) -> tuple[list[Shot], bool]:
     """Assign stamps to images, from a file, their names, or an assumed frame rate.
 
@@ -89,10 +93,8 @@ def assign_stamps(
         where,
         " or ".join(_TIMES_FILES),
     )
-    return [
-        Shot(i * _ASSUMED_INTERVAL_NS, ImageFile(image), f"file {image}")
-        for i, image in enumerate(images)
-    ], False
+    stamps = range(0, len(images) * _ASSUMED_INTERVAL_NS, _ASSUMED_INTERVAL_NS)
+    return make_shots(stamps, images, [f"file {image}" for image in images]), False
 
 
 def find_times_file(*folders: Path) -> Path | None:
@@ -111,7 +113,50 @@ def _right(folder: Path, left: list[Shot], named: bool) -> list[Shot] | None:
     return copy_stamps(left, images) if own is None else own
 
 
-def _truth(path: Path) -> Trajectory | None:
-    names = ("groundtruth.tum", "groundtruth.txt", "groundtruthSync.txt")
-    file = first_existing([path / name for name in names])
-    return None if file is None else read_tum(file)
+def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
+    """List the matching images in natural order of their names.
+
+    If the pattern contains `left`, the right images are those that match it with `right` instead.
+    Stamps come from a times.txt in the folder with one line per image, or else from the file
+    names; otherwise 10 frames per second are assumed, with a warning.
+    """
+    images = _matching(str(pattern))
+    if not images:
+        raise SourceError(f"no image matches {pattern}; check the pattern, and put it in quotes")
+    folder = images[0].parent
+    faults: list[Fault] = []
+    left, _ = assign_stamps(images, str(pattern), _times(folder, len(images)), faults)
+    return RecordingContents(
+        name=folder.resolve().name,
+        format="glob",
+        left=left,
+        right=_right_of_pattern(str(pattern), left),
+        calibrate=calibration_reader(
+            calibration, [folder / "calibration.yaml", folder.parent / "calibration.yaml"]
+        ),
+        faults=faults,
+    )
+
+
+def _matching(pattern: str) -> list[Path]:
+    found = (Path(name) for name in glob.glob(pattern, recursive=True))
+    images = [path for path in found if is_image_name(path.name) and path.is_file()]
+    return sorted(images, key=lambda path: (natural_key(path.parent), natural_key(path)))
+
+
+def _times(folder: Path, count: int) -> Path | None:
+    """The file of stamps, unless its number of lines differs from the number of images."""
+    times = find_times_file(folder, folder.parent)
+    if times is None:
+        return None
+    try:
+        lines = [text for text in read_text(times).splitlines() if text.strip()]
+    except (OSError, UnicodeDecodeError):
+        return None
+    return times if len([text for text in lines if text.lstrip()[0].isdigit()]) == count else None
+
+
+def _right_of_pattern(pattern: str, left: list[Shot]) -> list[Shot] | None:
+    before, word, after = pattern.rpartition("left")
+    images = _matching(f"{before}right{after}") if word else []
+    return copy_stamps(left, images) if images else None

@@ -17,8 +17,7 @@ from vo.recordings.formats.calibration.numbers import make_transform
 from vo.recordings.formats.table import read_table
 from vo.recordings.formats.trajectory import read_four_seasons
 from vo.recordings.sources.assembly import RecordingContents
-from vo.recordings.sources.listing import Shot, list_images
-from vo.recordings.sources.naming import shots_from_names
+from vo.recordings.sources.listing import Shot, list_images, shots_from_names
 
 _IMAGES = "undistorted_images"
 _CALIBRATION_FOLDERS = ("calibration", "Calibration")

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vo.base.errors import SourceError
-from vo.recordings.sources.euroc_imu import euroc_imus
+from vo.recordings.sources.euroc import euroc_imus
 from vo.recordings.sources.imu import Imu
-from vo.recordings.sources.logs.imu import imu_topics
-from vo.recordings.sources.logs.imu_pairs import log_imus
+from vo.recordings.sources.logs.imu import imu_topics, log_imus
 from vo.recordings.sources.registry import FORMATS, choose_format, gather, open_container
 
 
@@ -27,7 +26,7 @@ def open_imu(path: Path, format: str | None = None, topics: Sequence[str] = ()) 
         found = euroc_imus(root.resolve(), None, lambda: None)
     else:
         name = choose_format(path, format)
-        if FORMATS[name].log:
+        if FORMATS[name].has_topics:
             log = open_container(path, name)
             named = next((t.partition("=")[2] for t in topics if t.startswith("imu=")), None)
             if named is None and len(topics) == 1 and "=" not in topics[0]:

@@ -18,9 +18,8 @@ from vo.recordings.formats.calibration import Calibration, ImageSize, kitti, rea
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.formats.trajectory import read_kitti
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
-from vo.recordings.sources.listing import Shot, list_images
+from vo.recordings.sources.listing import Shot, list_images, shots_from_times
 from vo.recordings.sources.pairing import copy_stamps
-from vo.recordings.sources.times_table import shots_from_times
 
 _log = logging.getLogger(__name__)
 

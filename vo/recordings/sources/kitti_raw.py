@@ -16,9 +16,8 @@ from vo.base.types import Floats, Mode, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize, kitti
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
-from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.imu import FileImu, ImuSamples, imu_of
-from vo.recordings.sources.listing import Shot, check_increasing, list_images
+from vo.recordings.sources.listing import Shot, list_images, make_shots
 from vo.recordings.sources.oxts import (
     interpolate_at,
     read_date_stamps,
@@ -64,12 +63,7 @@ def _shots(camera: Path) -> list[Shot]:
                 "are not line numbers; there must be one line per image"
             )
     table = str(camera / "timestamps.txt")
-    shots = [
-        Shot(stamps[row], ImageFile(image), f"{table}:{row + 1}")
-        for row, image in zip(rows, images, strict=True)
-    ]
-    check_increasing(shots)
-    return shots
+    return make_shots([stamps[row] for row in rows], images, [f"{table}:{row + 1}" for row in rows])
 
 
 def _calibration(

@@ -1,21 +1,32 @@
-"""Lists of images with their stamps, from folders and tables."""
+"""Lists of images with their stamps, from folders, tables, and names of files."""
 
 from __future__ import annotations
 
 import os
 import re
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
-from vo.base.files.bounded_files import read_table_text
-from vo.recordings.formats.stamp_units import StampText, StampUnit, parse_stamps
+from vo.recordings.formats.stamp_units import (
+    MAX_STAMP_NS,
+    NS_PER_UNIT,
+    StampText,
+    StampUnit,
+    parse_stamps,
+    stamp_ns_from_seconds,
+)
+from vo.recordings.formats.table import table_text
 from vo.recordings.sources.images import ImageFile, StoredImage
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
+_MISSING = "is missing; it should contain the stamps"
+_MIN_INTERVAL_NS = 2_000_000
+_MAX_INTERVAL_NS = 20_000_000_000
+_MIN_STAMP = 1_000_000_000  # smaller integers are counters, not times
 
 
 class Line(NamedTuple):
@@ -40,7 +51,7 @@ class Shot(NamedTuple):
 
 def read_lines(path: Path) -> list[Line]:
     """Read the data lines of a file, without blank lines, comments and a heading of columns."""
-    texts = [text.strip() for text in _read_text(path).splitlines()]
+    texts = [text.strip() for text in table_text(path, _MISSING).splitlines()]
     numbered = [(n, text) for n, text in enumerate(texts, start=1) if text and text[0] != "#"]
     name = str(path)
     return [Line(f"{name}:{n}", text) for n, text in numbered[_first(path, numbered) :]]
@@ -48,20 +59,9 @@ def read_lines(path: Path) -> list[Line]:
 
 def read_data(path: Path) -> list[str]:
     """The same without the places of the lines, in a fifth of the time."""
-    texts = [text for text in map(str.strip, _read_text(path).splitlines()) if text]
+    texts = [text for text in map(str.strip, table_text(path, _MISSING).splitlines()) if text]
     data = [text for text in texts if text[0] != "#"]
     return data[_first(path, [(0, text) for text in data[:2]]) :]
-
-
-def _read_text(path: Path) -> str:
-    try:
-        return read_table_text(path)
-    except FileNotFoundError as error:
-        raise SourceError(f"{path} is missing; it should contain the stamps") from error
-    except UnicodeDecodeError as error:
-        raise SourceError(f"{path} is not text") from error
-    except OSError as error:
-        raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def _first(path: Path, lines: list[tuple[int, str]]) -> int:
@@ -111,17 +111,25 @@ def shots_from_table(
             raise SourceError(f"{location}: '{text}' is not a stamp and a file name")
         files.append(inside(table.parent, folder / fields[1], location))
         texts.append(StampText(location, fields[0]))
-    stamps = parse_stamps(texts, unit, faults)
-    shots = [
-        Shot(stamp, ImageFile(file), text.location)
-        for stamp, file, text in zip(stamps, files, texts, strict=True)
-    ]
+    shots = make_shots(parse_stamps(texts, unit, faults), files, [each.location for each in texts])
+    check_existing(files, table)
+    return shots
+
+
+def make_shots(stamps: Iterable[int], files: Iterable[Path], places: Iterable[str]) -> list[Shot]:
+    """Images of files with increasing stamps, and where these were read."""
+    rows = zip(stamps, files, places, strict=True)
+    shots = [Shot(stamp, ImageFile(file), place) for stamp, file, place in rows]
     check_increasing(shots)
+    return shots
+
+
+def check_existing(files: Sequence[Path], table: Path) -> None:
+    """Refuse a table if none of its files exists."""
     if not any(file.is_file() for file in files):
         raise SourceError(
-            f"none of the {len(shots)} images listed in {table} exists; the first is {files[0]}"
+            f"none of the {len(files)} images listed in {table} exists; the first is {files[0]}"
         )
-    return shots
 
 
 def inside(root: Path, file: Path, location: str) -> Path:
@@ -149,3 +157,102 @@ def median_interval_ns(stamps_ns: Sequence[int]) -> int:
     ordered = sorted(stamps_ns)
     steps = [b - a for a, b in zip(ordered, ordered[1:], strict=False)]
     return int(statistics.median_low(steps)) if steps else 0
+
+
+def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
+    """Read stamps from file names that end in a time; None if they do not.
+
+    Numbers with a decimal point are seconds. Integers from 10^9 are nanoseconds, microseconds,
+    milliseconds or seconds: the first unit with a median interval from 2 ms to 20 s.
+    """
+    found = [re.search(r"\d+(\.\d+)?$", path.stem) for path in images]
+    numbers = [match.group() for match in found if match is not None]
+    if len(images) < 2 or len(numbers) < len(images):
+        return None
+    stamps_ns = _stamps_of_numbers(numbers)
+    if stamps_ns is None or max(stamps_ns) > MAX_STAMP_NS:
+        return None
+    pairs = sorted(zip(stamps_ns, images, strict=True), key=lambda pair: pair[0])
+    files = [file for _, file in pairs]
+    return make_shots([stamp for stamp, _ in pairs], files, [f"file {file}" for file in files])
+
+
+def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
+    is_decimal = any("." in number for number in numbers)
+    if not is_decimal and min(int(number) for number in numbers) < _MIN_STAMP:
+        return None
+    for unit, factor in NS_PER_UNIT.items():
+        if unit == "s":
+            stamps = [stamp_ns_from_seconds(number) for number in numbers]
+        elif not is_decimal:
+            stamps = [int(number) * factor for number in numbers]
+        else:
+            continue
+        if _MIN_INTERVAL_NS <= median_interval_ns(stamps) <= _MAX_INTERVAL_NS:
+            return stamps
+    return None
+
+
+def shots_from_times(
+    times: Path, images: Sequence[Path], faults: list[Fault] | None = None
+) -> list[Shot]:
+    """Assign stamps in seconds, or integer nanoseconds, to images.
+
+    A line has a stamp; or a stamp and a file name, in any order; or the name or number of an image,
+    a stamp and, optionally, an exposure time, as in data sets for photometric calibration (TUM
+    monoVO, TUM VI). With names or numbers, lines without an image are not used.
+    """
+    lines = read_lines(times)
+    rows = [text.replace(",", " ").split() for _, text in lines]
+    stamp, name = _columns(rows[0], images)
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) <= max(stamp, name or 0):
+            raise SourceError(f"{line.location}: '{line.text}' has fewer columns than the first")
+    texts = [StampText(line.location, row[stamp]) for line, row in zip(lines, rows, strict=True)]
+    keys = None if name is None else [row[name] for row in rows]
+    stamps = parse_stamps(texts, "s", faults)
+    numbers = _lines_of_images(times, lines, images, keys)
+    places = [lines[number].location for number in numbers]
+    return make_shots([stamps[number] for number in numbers], images, places)
+
+
+def _columns(row: Sequence[str], images: Sequence[Path]) -> tuple[int, int | None]:
+    """Columns of the stamp and of the image's name; None without one."""
+    if len(row) == 1:
+        return 0, None
+    if is_image_name(row[1]):
+        return 0, 1
+    is_named = is_image_name(row[0]) or row[0] in {image.stem for image in images}
+    if is_named or row[0].isdigit():
+        return 1, 0
+    return 0, None  # followed by the exposure time
+
+
+def _lines_of_images(
+    times: Path, lines: Sequence[Line], images: Sequence[Path], keys: Sequence[str] | None
+) -> list[int]:
+    """The number of the line of each image, by name, or else by order."""
+    for key in (_as_written, _as_number):
+        if keys is not None:
+            numbers = {key(text): number for number, text in enumerate(keys)}
+            found = [numbers.get(key(image.name)) for image in images]
+            known = [number for number in found if number is not None]
+            if len(known) == len(images):
+                return known
+    if len(lines) != len(images):
+        raise SourceError(
+            f"{images[0].parent} has {len(images)} images but {times} has {len(lines)} stamps; "
+            "there must be one line per image"
+        )
+    return list(range(len(lines)))
+
+
+def _as_written(name: str) -> str:
+    """The name without folder and suffix; a stamp in a name keeps its decimals."""
+    name = name.rpartition("/")[2]
+    return Path(name).stem if is_image_name(name) else name
+
+
+def _as_number(name: str) -> str:
+    stem = _as_written(name)
+    return stem.lstrip("0") or "0" if stem.isdigit() else stem

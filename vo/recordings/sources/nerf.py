@@ -40,7 +40,6 @@ def gather_nerf(path: Path, calibration: Path | None, mode: Mode) -> RecordingCo
         name=file.resolve().parent.name,
         format="nerf",
         left=shots,
-        right=None,
         calibrate=calibration_reader(calibration, [file]),
         read_truth=lambda _: _truth(shots, poses),
         faults=faults,

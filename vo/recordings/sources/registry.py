@@ -26,49 +26,39 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-Opener = Callable[..., Recording]
-"""Opens a log, given path, calibration (Path or None), mode, topics and right_offset_ns."""
-
 Gather = Callable[[Path, Path | None, Mode], RecordingContents]
-"""Lists any other recording, given path, calibration and mode."""
+"""Lists a recording that is no log, given path, calibration and mode."""
 
 
 class Format(NamedTuple):
     """Detection and opening of a format.
 
     Attributes:
-        opener: `module:function` of a `Gather`, or of an `Opener` for logs; imported on demand.
+        opener: `module:function` of a `Gather`, or `module:class` of a `Log`; imported on demand.
         folder_patterns: names or patterns; a folder of this format contains at least one of them.
         suffixes: suffixes of single files of this format.
-        log: `module:class` of the `Log`, for formats with topics; otherwise empty.
+        has_topics: whether it is a log.
         can_grow: whether it can be read while it is being written.
     """
 
     opener: str
     folder_patterns: tuple[str, ...] = ()
     suffixes: tuple[str, ...] = ()
-    log: str = ""
+    has_topics: bool = False
     can_grow: bool = False
-
-    @property
-    def has_topics(self) -> bool:
-        """Whether it is a log with topics."""
-        return bool(self.log)
 
 
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
 
 FORMATS: dict[str, Format] = {
     "mcap": Format(
-        "vo.recordings.sources.mcap.source:open_mcap",
+        "vo.recordings.sources.mcap.file:McapFile",
         suffixes=(".mcap",),
-        log="vo.recordings.sources.mcap.file:McapFile",
+        has_topics=True,
         can_grow=True,
     ),
     "rosbag1": Format(
-        "vo.recordings.sources.bags.ros1:open_rosbag1",
-        suffixes=(".bag", ".active"),
-        log="vo.recordings.sources.bags.ros1:Bag",
+        "vo.recordings.sources.bags.ros1:Bag", suffixes=(".bag", ".active"), has_topics=True
     ),
     "kitti": Format("vo.recordings.sources.kitti:gather_kitti", ("image_0", "image_2")),
     "kitti_raw": Format(
@@ -82,17 +72,17 @@ FORMATS: dict[str, Format] = {
         "vo.recordings.sources.tum:gather_tum", ("rgb.txt", "assoc*.txt", "rgbd_assoc*.txt")
     ),
     "rosbag2": Format(
-        "vo.recordings.sources.bags.ros2:open_rosbag2",
+        "vo.recordings.sources.bags.ros2:Bag",
         ("metadata.yaml", "*.db3", "*.db3.zstd", "*_0.mcap"),
         suffixes=(".db3",),
-        log="vo.recordings.sources.bags.ros2:Bag",
+        has_topics=True,
     ),
     "nerf": Format(
         "vo.recordings.sources.nerf:gather_nerf",
         ("transforms.json", "transforms_train.json"),
         (".json",),
     ),
-    "glob": Format("vo.recordings.sources.glob:gather_glob"),
+    "glob": Format("vo.recordings.sources.folder:gather_glob"),
     "video": Format("vo.recordings.sources.video_file:gather_video", suffixes=VIDEO_SUFFIXES),
     "folder": Format(
         "vo.recordings.sources.folder:gather_folder",
@@ -135,19 +125,22 @@ def open_source(
     name = choose_format(path, format)
     _log.info("%s: recording of format %s", path, name)
     chosen = None if calibration is None else Path(calibration)
-    open_it = _load(FORMATS[name].opener)
     if side_by_side and (follow or FORMATS[name].has_topics):
         raise not_side_by_side(path, name)
-    if follow:
-        if not FORMATS[name].can_grow:
-            growing = ", ".join(n for n, entry in FORMATS.items() if entry.can_grow)
-            raise SourceError(f"{path} ({name}) cannot be followed; these formats can: {growing}")
-        return cast(Opener, open_it)(path, chosen, mode, topics, right_offset_ns, follow=True)
+    if follow and not FORMATS[name].can_grow:
+        growing = ", ".join(n for n, entry in FORMATS.items() if entry.can_grow)
+        raise SourceError(f"{path} ({name}) cannot be followed; these formats can: {growing}")
     if FORMATS[name].has_topics:
-        return cast(Opener, open_it)(path, chosen, mode, topics, right_offset_ns)
+        from vo.recordings.sources.logs.opening import open_log
+        from vo.recordings.sources.mcap.follow import open_growing
+
+        if follow:
+            return open_growing(path, chosen, mode, topics, right_offset_ns)
+        log = open_container(path, name)
+        return open_log(log, name, chosen, mode, topics, right_offset_ns)
     if topics:
         raise SourceError(f"{path} ({name}) has no topics; leave `topics` out")
-    contents = cast(Gather, open_it)(path, chosen, mode)
+    contents = gather(path, name, chosen, mode)
     if side_by_side:
         contents = split_side_by_side(contents)
     return assemble(replace(contents, right_offset_ns=right_offset_ns), mode)
@@ -160,7 +153,7 @@ def gather(path: Path, name: str, calibration: Path | None, mode: Mode) -> Recor
 
 def open_container(path: Path, name: str) -> Log:
     """Open a log of a format with topics, whatever its topics are."""
-    return cast("Log", _load(FORMATS[name].log)(path))
+    return cast("Log", _load(FORMATS[name].opener)(path))
 
 
 def choose_format(path: Path, format: str | None) -> str:

@@ -102,11 +102,7 @@ class ImageSequence:
         return np.array([shot.stamp_ns for shot in self._left], dtype=np.int64)
 
     def frames(
-        self,
-        start: int = 0,
-        end: int | None = None,
-        stride: int = 1,
-        images: ImageKind = "grey",
+        self, start: int = 0, end: int | None = None, stride: int = 1, images: ImageKind = "grey"
     ) -> Iterator[Frame]:
         """Read frames start, start + stride, … below end.
 

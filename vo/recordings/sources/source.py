@@ -33,11 +33,7 @@ class FrameStream(Protocol):
     faults: list[Fault]
 
     def frames(
-        self,
-        start: int = 0,
-        end: int | None = None,
-        stride: int = 1,
-        images: ImageKind = "grey",
+        self, start: int = 0, end: int | None = None, stride: int = 1, images: ImageKind = "grey"
     ) -> Iterator[Frame]:
         """Read frames start, start + stride, ... below end.
 

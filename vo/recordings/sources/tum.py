@@ -6,15 +6,14 @@ from pathlib import Path
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
-from vo.base.types import Mode, Trajectory
+from vo.base.types import Mode
 from vo.recordings.formats.stamp_units import StampText, parse_stamps
-from vo.recordings.formats.trajectory import read_tum
-from vo.recordings.sources.assembly import RecordingContents, calibration_reader
-from vo.recordings.sources.images import ImageFile
+from vo.recordings.sources.assembly import RecordingContents, calibration_reader, tum_truth
 from vo.recordings.sources.listing import (
     Shot,
-    check_increasing,
+    check_existing,
     inside,
+    make_shots,
     read_lines,
     shots_from_table,
 )
@@ -41,9 +40,8 @@ def gather_tum(path: Path, calibration: Path | None, mode: Mode) -> RecordingCon
         name=path.resolve().name,
         format="tum",
         left=left,
-        right=None,
         calibrate=calibration_reader(calibration, [path / "calibration.yaml"]),
-        read_truth=lambda _: _truth(path / "groundtruth.txt"),
+        read_truth=lambda _: tum_truth([path / "groundtruth.txt"]),
         depth=depth,
         faults=faults,
     )
@@ -78,20 +76,14 @@ def _associated(
     texts = [StampText(line.location, fields[colour]) for line, fields in rows]
     stamps = parse_stamps(texts, "s", faults)
 
-    def shots(column: int) -> list[Shot]:
-        files = [inside(path, path / fields[column + 1], line.location) for line, fields in rows]
-        if not any(file.is_file() for file in files):
-            raise SourceError(
-                f"none of the {len(files)} images listed in {table} exists; the first is {files[0]}"
-            )
-        return [
-            Shot(stamp, ImageFile(file), line.location)
-            for stamp, file, (line, _) in zip(stamps, files, rows, strict=True)
-        ]
+    def files(column: int) -> list[Path]:
+        found = [inside(path, path / fields[column + 1], line.location) for line, fields in rows]
+        check_existing(found, table)
+        return found
 
-    left = shots(colour)
-    check_increasing(left)
-    return left, shots(depth) if columns == 4 else None
+    places = [line.location for line, _ in rows]
+    left = make_shots(stamps, files(colour), places)
+    return left, make_shots(stamps, files(depth), places) if columns == 4 else None
 
 
 def _depth(path: Path) -> list[Shot] | None:
@@ -102,7 +94,3 @@ def _depth(path: Path) -> list[Shot] | None:
         return shots_from_table(table, path, None, "s")
     except SourceError as error:
         raise SourceError(f"{error}; to ignore depth, use `mode=mono`") from error
-
-
-def _truth(file: Path) -> Trajectory | None:
-    return read_tum(file) if file.is_file() else None

@@ -72,7 +72,6 @@ def _gather_log(path: Path, name: str, mode: Mode, topics: Sequence[str]) -> Rec
         left=left,
         right=others[0] if others else None,
         calibrate=lambda size: Calibration(_placeholder(size, None)),
-        read_truth=lambda _: None,
     )
 
 

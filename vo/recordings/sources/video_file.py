@@ -54,11 +54,9 @@ def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
         name=path.stem,
         format="video",
         left=shots,
-        right=None,
         calibrate=calibration_reader(
             calibration, [path.with_suffix(".yaml"), path.parent / "calibration.yaml"]
         ),
-        read_truth=lambda _: None,
         close=decoder.close,
     )
 

@@ -21,14 +21,12 @@ from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.listing import Shot
 from vo.recordings.sources.logs.choice import IMAGE_KINDS, choose_topics
 from vo.recordings.sources.logs.images import list_images
-from vo.recordings.sources.logs.imu import imu_topics
-from vo.recordings.sources.logs.imu_pairs import log_imus
+from vo.recordings.sources.logs.imu import imu_topics, log_imus
 from vo.recordings.sources.logs.log import Log, Topic, UnreadTopic
 from vo.recordings.sources.logs.opening import open_log
 from vo.recordings.sources.logs.poses import choose_pose_source, list_pose_sources, read_poses
-from vo.recordings.sources.pairing import pair_by_stamp
+from vo.recordings.sources.pairing import pair_by_stamp, shifted
 from vo.recordings.sources.registry import FORMATS, choose_format, gather, open_container
-from vo.recordings.sources.right_offset import shifted
 from vo.recordings.sources.sequence import ImageSequence as SourceSequence
 
 
@@ -111,7 +109,7 @@ def open_leniently(
     """
     with collected_warnings() as warnings:
         name = choose_format(path, format)
-        if FORMATS[name].log:
+        if FORMATS[name].has_topics:
             found = _open_log(path, name, calibration, mode, topics, right_offset_ns)
         else:
             found = _open_files(path, name, calibration, mode, right_offset_ns)

@@ -9,11 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from calibration_files import cam1_from_cam0, read, read_error, write_file
-from foreign_files import (
-    ROS_INI,
-    ZED,
-    depthai,
-)
+from foreign_files import ROS_INI, ZED, depthai
 
 from vo.base.errors import CalibrationError
 from vo.base.geometry.rectification import rectified_rig

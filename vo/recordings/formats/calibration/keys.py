@@ -12,12 +12,7 @@ import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.recordings.formats.calibration.document import ImageSize
-from vo.recordings.formats.calibration.numbers import (
-    is_list,
-    make_list,
-    make_matrix,
-    make_number,
-)
+from vo.recordings.formats.calibration.numbers import is_list, make_list, make_matrix, make_number
 
 MATRIX = (
     "cameramatrix", "mtx", "k", "m", "cammatrix", "cammtx", "cameramtx", "kmatrix", "matrixk",

@@ -28,11 +28,7 @@ from vo.recordings.formats.calibration.document import (
     ImuCalibration,
     shortened,
 )
-from vo.recordings.formats.calibration.numbers import (
-    make_number,
-    make_positive,
-    make_transform,
-)
+from vo.recordings.formats.calibration.numbers import make_number, make_positive, make_transform
 
 _TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
 _CAMERA_KEYS = (

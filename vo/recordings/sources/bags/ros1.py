@@ -6,12 +6,11 @@ Source: https://wiki.ros.org/Bags/Format/2.0
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from vo.base.errors import SourceError
-from vo.base.types import Mode
 from vo.recordings.formats.codecs import find_codec
 from vo.recordings.formats.messages import HEAD_BYTES, Codec
 from vo.recordings.sources.bags.ros1_records import (
@@ -21,31 +20,26 @@ from vo.recordings.sources.bags.ros1_records import (
     INDEX,
     MESSAGE,
     Chunk,
-    ChunkCache,
     Connection,
     Damaged,
     Record,
     chunk_records,
     connection_of,
     file_records,
+    load_chunk,
     log_ns_of,
 )
-from vo.recordings.sources.logs.log import Entry, Topic, UnreadTopic
-from vo.recordings.sources.logs.opening import open_log
-from vo.recordings.sources.source import Recording
+from vo.recordings.sources.logs.log import (
+    ChunkCache,
+    Entry,
+    MessageSpan,
+    Topic,
+    UnreadTopic,
+    topic_of,
+    unread_topics,
+)
 
 _log = logging.getLogger(__name__)
-
-
-def open_rosbag1(
-    path: Path,
-    calibration: Path | None,
-    mode: Mode,
-    topics: Sequence[str] = (),
-    right_offset_ns: int | None = None,
-) -> Recording:
-    """Open a bag; of a truncated bag, the readable part."""
-    return open_log(Bag(path), "rosbag1", calibration, mode, topics, right_offset_ns)
 
 
 class _Address(NamedTuple):
@@ -56,12 +50,6 @@ class _Address(NamedTuple):
     length: int
 
 
-class _Statistics(NamedTuple):
-    messages: int
-    first_ns: int
-    last_ns: int
-
-
 class Bag:
     """A `Log` in a ROS 1 bag; the file is open only during reads."""
 
@@ -70,12 +58,12 @@ class Bag:
         self.path = path
         self._chunks: list[Chunk] = []
         self._connections: dict[int, Connection] = {}
-        self._statistics: dict[int, _Statistics] = {}
+        self._statistics: dict[int, MessageSpan] = {}
         try:
             damage = self._read_index()
         except OSError as error:
             raise SourceError(f"{path} cannot be read: {error.strerror or error}") from error
-        self._cache = ChunkCache(path, self._chunks)
+        self._cache = ChunkCache(lambda number: load_chunk(path, self._chunks[number]))
         if damage is not None:
             self._scan_chunks(damage)
         self._codecs = {
@@ -87,7 +75,7 @@ class Bag:
         }
         names = sorted({self._connections[number].topic for number in self._codecs})
         self.topics = [self._topic(name) for name in names]
-        self.unread = self._others(frozenset(names))
+        self.unread = unread_topics(self._all_topics(), names)
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """See `Log.entries`."""
@@ -139,10 +127,7 @@ class Bag:
             self._add_count(connection, count, first, last)
 
     def _add_count(self, connection: int, count: int, first_ns: int, last_ns: int) -> None:
-        before = self._statistics.get(connection, _Statistics(0, first_ns, last_ns))
-        self._statistics[connection] = _Statistics(
-            before.messages + count, min(before.first_ns, first_ns), max(before.last_ns, last_ns)
-        )
+        self._statistics.setdefault(connection, MessageSpan()).add_all(count, first_ns, last_ns)
 
     def _scan_chunks(self, damage: Damaged) -> None:
         """Scan all chunks of a bag without an index."""
@@ -173,7 +158,7 @@ class Bag:
             "%s: %s; readable: %d messages in %.1f s",
             self.path,
             damage,
-            sum(each.messages for each in self._statistics.values()),
+            sum(each.count for each in self._statistics.values()),
             (last - first) * 1e-9,
         )
 
@@ -189,23 +174,14 @@ class Bag:
         return messages
 
     def _topic(self, name: str) -> Topic:
-        """A topic, possibly with several publishers."""
         numbers = [n for n in self._codecs if self._connections[n].topic == name]
-        statistics = [self._statistics[number] for number in numbers]
-        span_ns = max(t.last_ns for t in statistics) - min(t.first_ns for t in statistics)
         kind, codec = self._connections[numbers[0]].kind, self._codecs[numbers[0]]
-        return Topic(name, kind, codec, sum(t.messages for t in statistics), span_ns)
+        return topic_of(name, kind, codec, [self._statistics[number] for number in numbers])
 
-    def _others(self, readable: frozenset[str]) -> list[UnreadTopic]:
-        found: dict[str, UnreadTopic] = {}
-        for number, connection in sorted(self._connections.items()):
-            if connection.topic not in readable:
-                topic = found.get(connection.topic)
-                topic = topic or UnreadTopic(connection.topic, connection.kind, 0)
-                statistics = self._statistics.get(number)
-                count = topic.messages + (0 if statistics is None else statistics.messages)
-                found[connection.topic] = topic._replace(messages=count)
-        return [found[name] for name in sorted(found)]
+    def _all_topics(self) -> Iterator[UnreadTopic]:
+        for number, each in sorted(self._connections.items()):
+            statistics = self._statistics.get(number, MessageSpan())
+            yield UnreadTopic(each.topic, each.kind, statistics.count)
 
 
 def _entry(record: Record, chunk: int, codec: Codec) -> Entry:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +12,6 @@ from vo.recordings.formats.decompression import decompress, size_limit
 
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 _MAGIC = b"#ROSBAG V2.0\n"
-_MAX_CACHED_BYTES = 64 * 2**20
-_MIN_CACHED = 2  # left and right images may be in different chunks
 _MAX_HEADER_BYTES = 2**20
 _MAX_RECORD_BYTES = 2**32
 
@@ -98,29 +94,6 @@ class Chunk:
         stated = record.fields.get("size", b"")
         size = int.from_bytes(stated, "little") if len(stated) == 4 else None
         return cls(record.start, record.length, name, size)
-
-
-class ChunkCache:
-    """Thread-safe cache of the most recently used chunks, decompressed."""
-
-    def __init__(self, path: Path, chunks: list[Chunk]) -> None:
-        self._path = path
-        self._chunks = chunks
-        self._lock = threading.Lock()
-        self._cached: OrderedDict[int, bytes] = OrderedDict()
-
-    def get(self, number: int) -> bytes:
-        """The records of a chunk."""
-        with self._lock:
-            data = self._cached.get(number)
-            if data is None:
-                data = _decompress(self._path, self._chunks[number])
-                self._cached[number] = data
-            self._cached.move_to_end(number)
-            size = sum(len(cached) for cached in self._cached.values())
-            while size > _MAX_CACHED_BYTES and len(self._cached) > _MIN_CACHED:
-                size -= len(self._cached.popitem(last=False)[1])
-        return data
 
 
 def file_records(path: Path) -> Iterator[Record]:
@@ -215,7 +188,7 @@ def _fields(header: bytes, offset: int) -> dict[str, bytes]:
     return fields
 
 
-def _decompress(path: Path, chunk: Chunk) -> bytes:
+def load_chunk(path: Path, chunk: Chunk) -> bytes:
     """Read and decompress a chunk; of a truncated chunk, as much as possible."""
     max_bytes = size_limit(chunk.length)
     try:

@@ -13,30 +13,16 @@ from typing import Any, NamedTuple
 from vo.base.errors import SourceError
 from vo.base.files.bounded_documents import load_yaml
 from vo.base.files.bounded_files import lfs_pointer_message, read_text
-from vo.base.types import Mode
 from vo.recordings.formats.decompression import copy_decompressed
 from vo.recordings.sources.bags.sqlite_file import SqliteFile
 from vo.recordings.sources.listing import natural_key
-from vo.recordings.sources.logs.log import Entry, Log, Topic, UnreadTopic
-from vo.recordings.sources.logs.opening import open_log
+from vo.recordings.sources.logs.log import Entry, Log, Topic, unread_topics
 from vo.recordings.sources.mcap.file import McapFile
-from vo.recordings.sources.source import Recording
 
 _log = logging.getLogger(__name__)
 _MAX_METADATA_BYTES = 4 * 2**20
 _MIN_FILE_LIMIT = 2**28  # of a decompressed file
 _MAX_RATIO = 200  # of larger ones
-
-
-def open_rosbag2(
-    path: Path,
-    calibration: Path | None,
-    mode: Mode,
-    topics: Sequence[str] = (),
-    right_offset_ns: int | None = None,
-) -> Recording:
-    """Open a bag; metadata.yaml is optional, because it is missing after a crash."""
-    return open_log(Bag(path), "rosbag2", calibration, mode, topics, right_offset_ns)
 
 
 class _Metadata(NamedTuple):
@@ -55,7 +41,7 @@ class Bag:
         self._parts: list[Log] = [self._open(file, found.compression) for file in found.files]
         names = sorted({topic.name for part in self._parts for topic in part.topics})
         self.topics = [_joined(name, self._parts) for name in names]
-        self.unread = _unread(self._parts, frozenset(names))
+        self.unread = unread_topics((each for part in self._parts for each in part.unread), names)
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """See `Log.entries`; the files are in the order of metadata.yaml or of their numbers."""
@@ -137,14 +123,6 @@ def _read_metadata(table: Path) -> tuple[list[Path], str]:
     if compression != "none" and algorithm != "zstd":
         raise SourceError(f"{table}: compressed with '{algorithm}'; zstd is supported")
     return files, compression
-
-
-def _unread(parts: Sequence[Log], readable: frozenset[str]) -> list[UnreadTopic]:
-    found: dict[str, UnreadTopic] = {}
-    for topic in (each for part in parts for each in part.unread if each.name not in readable):
-        count = found[topic.name].messages if topic.name in found else 0
-        found[topic.name] = topic._replace(messages=count + topic.messages)
-    return [found[name] for name in sorted(found)]
 
 
 def _joined(name: str, parts: Sequence[Log]) -> Topic:

@@ -13,7 +13,13 @@ from vo.base.errors import SourceError
 from vo.recordings.formats.codecs import find_codec
 from vo.recordings.formats.decompression import decompress, size_limit
 from vo.recordings.formats.messages import HEAD_BYTES
-from vo.recordings.sources.logs.log import Entry, Topic, UnreadTopic
+from vo.recordings.sources.logs.log import (
+    Entry,
+    MessageSpan,
+    Topic,
+    UnreadTopic,
+    topic_of,
+)
 
 _log = logging.getLogger(__name__)
 _TABLES = ("topics", "messages", "message_definitions")
@@ -47,12 +53,12 @@ class SqliteFile:
                     continue
                 language, text = definitions.get(kind, ("ros2msg", ""))
                 codec = find_codec(str(encoding), kind, language, text.encode())
-                count, span_ns = spans.get(number, (0, 0))
-                if codec is None or not count:
-                    self.unread.append(UnreadTopic(name, kind, count))
+                span = spans.get(number, MessageSpan())
+                if codec is None or not span.count:
+                    self.unread.append(UnreadTopic(name, kind, span.count))
                 else:
                     self._number[name] = number
-                    self.topics.append(Topic(name, kind, codec, count, span_ns))
+                    self.topics.append(topic_of(name, kind, codec, [span]))
 
     def entries(self, names: Collection[str]) -> dict[str, list[Entry]]:
         """See `Log.entries`."""
@@ -156,18 +162,16 @@ def _definitions(database: sqlite3.Connection) -> dict[str, tuple[str, str]]:
     return {row[0]: (row[1], row[2]) for row in rows if all(isinstance(x, str) for x in row)}
 
 
-def _spans(path: Path, database: sqlite3.Connection) -> dict[int, tuple[int, int]]:
-    """Number of messages, and time from the first to the last, of each topic with messages."""
-    times: dict[int, tuple[int, int, int]] = {}
+def _spans(path: Path, database: sqlite3.Connection) -> dict[int, MessageSpan]:
+    spans: dict[int, MessageSpan] = {}
     try:
         for number, log_ns in database.execute("SELECT topic_id, timestamp FROM messages"):
             if not isinstance(log_ns, int):  # numbers in damaged pages are read as NULL
                 continue
-            count, first, last = times.get(number, (0, log_ns, log_ns))
-            times[number] = (count + 1, min(first, log_ns), max(last, log_ns))
+            spans.setdefault(number, MessageSpan(0, log_ns, log_ns)).add(log_ns)
     except sqlite3.DatabaseError as error:
-        if not times:
+        if not spans:
             raise
-        total = sum(count for count, _, _ in times.values())
+        total = sum(each.count for each in spans.values())
         _log.warning("%s is damaged (%s) after %d messages", path, error, total)
-    return {number: (count, last - first) for number, (count, first, last) in times.items()}
+    return spans

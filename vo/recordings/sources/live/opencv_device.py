@@ -88,10 +88,7 @@ class OpenCvDevice:
 
 
 def open_camera(
-    target: str,
-    size: ImageSize | None,
-    clock: HostClock,
-    open_capture: OpenCapture | None = None,
+    target: str, size: ImageSize | None, clock: HostClock, open_capture: OpenCapture | None = None
 ) -> OpenCvDevice:
     """Open a camera of this machine.
 

@@ -81,12 +81,7 @@ def open_live(
             chosen = Calibration(capture.rig)
         rig = _rig(name, chosen, mode, first, options)
         return LiveFrames(
-            name,
-            rig,
-            capture,
-            clock,
-            timeout_s=options.timeout_s,
-            duration_s=options.duration_s,
+            name, rig, capture, clock, timeout_s=options.timeout_s, duration_s=options.duration_s
         )
     except BaseException:
         capture.close()
@@ -105,11 +100,7 @@ def _stated_size(calibration: Path | None) -> ImageSize | None:
 
 
 def _connector(
-    address: LiveAddress,
-    size: ImageSize | None,
-    mode: Mode,
-    options: LiveOptions,
-    clock: HostClock,
+    address: LiveAddress, size: ImageSize | None, mode: Mode, options: LiveOptions, clock: HostClock
 ) -> Connect:
     """A function that connects to the device or to both."""
     if options.side_by_side and size is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -43,17 +43,12 @@ class FrameTree:
 
     def between(self, a: str, b: str) -> Floats | None:
         """The (4, 4) transform `a_from_b`, None without a chain of fixed transforms."""
-        a_from_frame = {a: np.eye(4)}
-        waiting = deque([a])
-        while waiting:
-            frame = waiting.popleft()
-            if frame == b:
-                return a_from_frame[frame]
-            for other, frame_from_other in self._neighbours(frame):
-                if other not in a_from_frame:
-                    a_from_frame[other] = a_from_frame[frame] @ frame_from_other
-                    waiting.append(other)
-        return None
+        a_from_b = np.eye(4)
+        for frame, other in (steps := chain(self._fixed(), a, b)):
+            stored = self._parent_from_child.get((frame, other))
+            known = inverse(self._parent_from_child[other, frame]) if stored is None else stored
+            a_from_b = a_from_b @ known
+        return a_from_b if steps or a == b else None
 
     def root(self, frame: str) -> str:
         """The topmost ancestor that is fixed to a frame, or the frame itself."""
@@ -68,15 +63,22 @@ class FrameTree:
     def _fixed(self) -> list[tuple[str, str]]:
         return [pair for pair in self._parent_from_child if pair not in self._moving]
 
-    def _neighbours(self, frame: str) -> list[tuple[str, Floats]]:
-        found = []
-        for parent, child in self._fixed():
-            parent_from_child = self._parent_from_child[parent, child]
-            if parent == frame:
-                found.append((child, parent_from_child))
-            elif child == frame:
-                found.append((parent, inverse(parent_from_child)))
-        return found
+
+def chain(pairs: Iterable[tuple[str, str]], start: str, end: str) -> list[tuple[str, str]]:
+    """The shortest chain of transforms from one frame to another; empty if there is none."""
+    neighbours: dict[str, list[str]] = {}
+    for a, b in pairs:
+        neighbours.setdefault(a, []).append(b)
+        neighbours.setdefault(b, []).append(a)
+    chains: dict[str, list[tuple[str, str]]] = {start: []}
+    waiting = deque([start])
+    while waiting:
+        frame = waiting.popleft()
+        for other in neighbours.get(frame, []):
+            if other not in chains:
+                chains[other] = [*chains[frame], (frame, other)]
+                waiting.append(other)
+    return chains.get(end, [])
 
 
 def read_frame_tree(log: Log, listed: Sequence[tuple[Topic, Sequence[Entry]]]) -> FrameTree:

@@ -14,7 +14,7 @@ from vo.recordings.formats.messages import (
     CompressedVideoMessage,
     ImageMessage,
 )
-from vo.recordings.formats.pixels import colour_pixels, grey_pixels
+from vo.recordings.formats.pixels import colour_pixels, depth_pixels, grey_pixels
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS
 from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.images import Pixels, StoredImage, decode_image
@@ -24,14 +24,19 @@ from vo.recordings.sources.logs.stamps import message_stamps
 
 _log = logging.getLogger(__name__)
 
+_PNG = b"\x89PNG"
+_DEPTH_HEADER = 12
+"""Bytes of the header of `compressed_depth_image_transport`, in front of the PNG."""
+
 
 @dataclass(frozen=True, eq=False)
 class MessageImage:
-    """A `StoredImage` in a message."""
+    """A `StoredImage` in a message, or with `is_depth` depth in millimetres, 0 where unknown."""
 
     log: Log
     topic: Topic
     entry: Entry
+    is_depth: bool = False
 
     @property
     def name(self) -> str:
@@ -39,15 +44,21 @@ class MessageImage:
         return f"{self.log.path}: {self.topic.name} logged at {self.entry.log_ns} ns"
 
     def read(self, colour: bool = False) -> Pixels:
-        """See `StoredImage.read`."""
+        """See `StoredImage.read`; depth is uint16 or float32, whatever `colour` is."""
         try:
             message = self.topic.codec.decode(self.log.read(self.entry))
             if isinstance(message, ImageMessage):
+                if self.is_depth:
+                    return depth_pixels(message)
                 return colour_pixels(message) if colour else grey_pixels(message)
         except SourceError as error:
-            raise SourceError(f"image {self.name}: {error}") from error
+            what = "depth image" if self.is_depth else "image"
+            raise SourceError(f"{what} {self.name}: {error}") from error
         assert isinstance(message, CompressedImageMessage)
-        return decode_image(message.data, self.name, colour)
+        data = message.data
+        if self.is_depth and not data.startswith(_PNG) and data[_DEPTH_HEADER:].startswith(_PNG):
+            data = data[_DEPTH_HEADER:]
+        return decode_image(data, self.name, colour and not self.is_depth)
 
 
 def list_images(

@@ -11,19 +11,23 @@ from vo.base.errors import CalibrationError, VoError
 from vo.base.faults import Fault
 from vo.base.types import Floats, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize, read_calibration
-from vo.recordings.formats.messages import CalibrationMessage, TransformsMessage
+from vo.recordings.formats.messages import (
+    CalibrationMessage,
+    CompressedImageMessage,
+    ImageMessage,
+    TransformsMessage,
+)
+from vo.recordings.formats.pixels import DEPTH_UNITS_PER_METRE
 from vo.recordings.sources.assembly import RecordingContents, assemble
 from vo.recordings.sources.imu import Imu, imu_of
 from vo.recordings.sources.listing import Shot
 from vo.recordings.sources.logs.choice import ChosenTopics, choose_topics
-from vo.recordings.sources.logs.depth import UNITS_PER_METRE, depth_topics, find_depth
 from vo.recordings.sources.logs.frame_tree import FrameTree, read_frame_tree
-from vo.recordings.sources.logs.images import list_images
-from vo.recordings.sources.logs.imu import imu_topics
-from vo.recordings.sources.logs.imu_pairs import log_imus
+from vo.recordings.sources.logs.images import MessageImage, list_images, list_shots
+from vo.recordings.sources.logs.imu import imu_topics, log_imus
 from vo.recordings.sources.logs.log import Entry, Log, Topic
+from vo.recordings.sources.logs.poses import find_truth_topic, read_truth
 from vo.recordings.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
-from vo.recordings.sources.logs.truth import find_truth_topic, read_truth
 from vo.recordings.sources.sequence import ImageSequence
 
 _log = logging.getLogger(__name__)
@@ -57,7 +61,7 @@ def open_log(
             return own
         assert calibration is not None
         found = read_calibration(calibration, size)
-        return replace(found, depth_per_metre=found.depth_per_metre or UNITS_PER_METRE)
+        return replace(found, depth_per_metre=found.depth_per_metre or DEPTH_UNITS_PER_METRE)
 
     contents = RecordingContents(
         name=log.path.resolve().stem,
@@ -84,15 +88,12 @@ class _ChosenLog:
         transforms = _topics_of_type(log.topics, TransformsMessage)
         self._imus = imu_topics(log.topics, choice.imu)
         self._truth = find_truth_topic(log.topics, choice.truth)
-        self._depth = depth_topics(log.topics) if choice.right is None else []
-        topics = [
-            choice.left,
-            choice.right,
-            self._truth,
-            *self._calibrations,
-            *transforms,
-            *self._depth,
-        ]
+        raw = _topics_of_type(log.topics, ImageMessage, CompressedImageMessage)
+        self._depth = [topic for topic in raw if "depth" in topic.name.lower()]
+        if choice.right is not None:
+            self._depth = []
+        topics = [choice.left, choice.right, self._truth]
+        topics += [*self._calibrations, *transforms, *self._depth]
         names = dict.fromkeys(topic.name for topic in topics if topic is not None)
         self.entries: dict[str, list[Entry]] = log.entries(list(names))
         listed = [(topic, self.entries[topic.name]) for topic in transforms]
@@ -102,7 +103,7 @@ class _ChosenLog:
         """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
         left = self._camera(self._choice.left)
         if self._choice.right is None or mode == "mono":
-            return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
+            return Calibration(Rig(left.camera), depth_per_metre=DEPTH_UNITS_PER_METRE)
         try:
             right = self._camera(self._choice.right)
             transform = cam1_from_cam0(left, right, self._frames)
@@ -110,13 +111,20 @@ class _ChosenLog:
             if mode == "stereo":
                 raise
             _log.warning("only the left camera is used: %s", error)
-            return Calibration(Rig(left.camera), depth_per_metre=UNITS_PER_METRE)
+            return Calibration(Rig(left.camera), depth_per_metre=DEPTH_UNITS_PER_METRE)
         return Calibration(Rig(left.camera, right.camera, transform))
 
     def depth(self) -> list[Shot] | None:
         """Depth registered to the left camera; None without such depth or with a right camera."""
         frame = self._frame(self._choice.left)
-        return find_depth(self._log, self._depth, frame, self.entries) if frame else None
+        for topic in self._depth if frame else ():
+            found = self._frame(topic, 10)
+            if found == frame:
+                entries = self.entries[topic.name]
+                images = [MessageImage(self._log, topic, entry, is_depth=True) for entry in entries]
+                return list_shots(self._log, topic, entries, images.__getitem__)
+            _log.debug("%s not used: frame %s, but camera frame %s", topic.name, found, frame)
+        return None
 
     def truth(self, calibration: Calibration) -> Trajectory | None:
         """Ground-truth poses of cam0, or None."""
@@ -137,9 +145,9 @@ class _ChosenLog:
     def _camera(self, image: Topic) -> LogCamera:
         return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
 
-    def _frame(self, image: Topic) -> str:
-        """The frame of the first readable image."""
-        for entry in self.entries[image.name]:
+    def _frame(self, image: Topic, tried: int | None = None) -> str:
+        """The frame of the first readable image, perhaps of the first few only."""
+        for entry in self.entries[image.name][:tried]:
             try:
                 message = image.codec.decode(self._log.read(entry))
             except VoError:
@@ -148,5 +156,5 @@ class _ChosenLog:
         return ""
 
 
-def _topics_of_type(topics: Sequence[Topic], kind: type) -> list[Topic]:
-    return [topic for topic in topics if issubclass(topic.codec.kind, kind)]
+def _topics_of_type(topics: Sequence[Topic], *kinds: type) -> list[Topic]:
+    return [topic for topic in topics if issubclass(topic.codec.kind, kinds)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -15,9 +14,10 @@ from vo.base.errors import SourceError, VoError
 from vo.base.geometry.transforms import interpolate, inverse
 from vo.base.printable import counted
 from vo.base.types import Floats, Trajectory
+from vo.recordings.formats.calibration import Calibration
 from vo.recordings.formats.messages import PathMessage, PoseMessage, TransformsMessage
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS
-from vo.recordings.sources.logs.frame_tree import read_frame_tree
+from vo.recordings.sources.logs.frame_tree import FrameTree, chain, read_frame_tree
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 from vo.recordings.sources.logs.stamps import message_stamps
 
@@ -162,7 +162,7 @@ def _transform_topics(log: Log) -> list[Topic]:
 def _between_frames(log: Log, parent: str, child: str) -> Trajectory:
     """Poses of a frame in another one, at the stamps of the transform with the most messages."""
     edges = _edges(log)
-    steps = _chain(edges, parent, child)
+    steps = chain(edges, parent, child)
     if not steps:
         known = ", ".join(sorted({frame for pair in edges for frame in pair}))
         raise SourceError(
@@ -212,23 +212,6 @@ def _messages(
             yield entry, message
 
 
-def _chain(pairs: Iterable[tuple[str, str]], start: str, end: str) -> list[tuple[str, str]]:
-    """The shortest chain of transforms from one frame to another; empty if there is none."""
-    neighbours: dict[str, list[str]] = {}
-    for a, b in pairs:
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    chains: dict[str, list[tuple[str, str]]] = {start: []}
-    waiting = deque([start])
-    while waiting:
-        frame = waiting.popleft()
-        for other in neighbours.get(frame, []):
-            if other not in chains:
-                chains[other] = [*chains[frame], (frame, other)]
-                waiting.append(other)
-    return chains.get(end, [])
-
-
 def _stored(edges: dict[tuple[str, str], Trajectory], a: str, b: str) -> tuple[str, str]:
     return (a, b) if (a, b) in edges else (b, a)
 
@@ -249,3 +232,44 @@ def _trajectory(poses: dict[int, Floats]) -> Trajectory:
     return Trajectory(
         stamps_ns, np.array([poses[int(stamp)] for stamp in stamps_ns]).reshape(-1, 4, 4)
     )
+
+
+def find_truth_topic(topics: Sequence[Topic], named: str | None) -> Topic | None:
+    """The topic given by the user, or else the first pose topic named like ground truth."""
+    poses = [topic for topic in topics if issubclass(topic.codec.kind, POSE_KINDS)]
+    if named is None:
+        return next((topic for topic in poses if named_like_truth(topic.name)), None)
+    found = next((t for t in poses if t.name.strip("/") == named.strip("/")), None)
+    if found is None:
+        others = ", ".join(topic.name for topic in poses) or "none"
+        raise SourceError(f"`topics=truth={named}` has no poses; topics with poses: {others}")
+    return found
+
+
+def read_truth(
+    log: Log,
+    topic: Topic,
+    entries: Sequence[Entry],
+    cam0: str,
+    frames: FrameTree,
+    calibration: Calibration,
+) -> Trajectory:
+    """Poses of cam0 in the world.
+
+    Poses without a child frame are assumed to be those of the topmost frame that is fixed to cam0,
+    the base of the robot.
+    """
+    logged = poses_on_topic(log, topic, entries)
+    child = logged.child
+    body = child or frames.root(cam0)
+    body_from_cam0 = calibration.body_from_cam0
+    # Poses without a child frame need not be those of a camera that no frame is fixed to.
+    if body_from_cam0 is None and (child or body != cam0):
+        body_from_cam0 = frames.between(body, cam0)
+    if body_from_cam0 is None:
+        raise SourceError(
+            f"{topic.name} has poses of {f'frame {child!r}' if child else 'the body'}, but no "
+            f"transforms connect it to the camera (frame '{cam0}')"
+        )
+    truth = logged.trajectory
+    return Trajectory(truth.stamps_ns, truth.world_from_cam @ body_from_cam0)

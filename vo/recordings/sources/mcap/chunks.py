@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 import zlib
-from collections import OrderedDict
-from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -18,9 +15,7 @@ from vo.recordings.formats.decompression import decompress as formats_decompress
 from vo.recordings.formats.decompression import size_limit
 from vo.recordings.sources.mcap.records import ChunkHeader, Damaged
 
-_MAX_CACHED_BYTES = 64 * 2**20
-_STEP, _MAX_STEP = 4096, 2**20
-_MIN_CACHED = 2  # left and right images may be in different chunks
+_STEP, _MAX_STEPPED = 4096, 2**16
 
 
 @dataclass(frozen=True)
@@ -83,12 +78,13 @@ class DecompressedStream:
     """The records of an intact chunk, decompressed on demand.
 
     Indexing needs only the first bytes of each message, so that a chunk with one large image is
-    hardly decompressed. The checksum is not verified here but in `ChunkCache.get`.
+    hardly decompressed. One with several is decompressed at once, which is faster than in steps.
+    The checksum is not verified here but in `load_chunk`.
     """
 
     def __init__(self, stream: BinaryIO, chunk: Chunk) -> None:
+        self._stream, self._chunk = stream, chunk
         stored = _FileRange(stream, chunk.header.start, chunk.stored)
-        self._chunk = chunk
         self._source: _FileRange | BinaryIO = stored
         if chunk.header.compression == "zstd":
             self._source = zstandard.ZstdDecompressor().stream_reader(stored, read_size=_STEP)  # type: ignore[arg-type]
@@ -96,7 +92,7 @@ class DecompressedStream:
             self._source = lz4.frame.LZ4FrameFile(stored)
         elif chunk.is_compressed:
             raise _unknown_compression(chunk)
-        self._decompressed = bytearray()
+        self._decompressed = b""
         self._position = 0
 
     def seek(self, offset: int) -> int:
@@ -111,18 +107,27 @@ class DecompressedStream:
             Damaged: the data cannot be decompressed.
         """
         end = self._position + size
-        try:
-            while len(self._decompressed) < end:
-                more = self._source.read(min(max(end - len(self._decompressed), _STEP), _MAX_STEP))
-                if not more:
-                    break
-                self._decompressed += more
-        except (RuntimeError, EOFError, zstandard.ZstdError, MemoryError, ValueError) as error:
-            reason = f"a chunk cannot be decompressed: {error}"
-            raise Damaged(self._chunk.header.start, reason) from error
-        data = bytes(self._decompressed[self._position : end])
+        if len(self._decompressed) < end:
+            try:
+                self._decompress_to(end)
+            except (RuntimeError, EOFError, zstandard.ZstdError, MemoryError, ValueError) as error:
+                reason = f"a chunk cannot be decompressed: {error}"
+                raise Damaged(self._chunk.header.start, reason) from error
+        data = self._decompressed[self._position : end]
         self._position += len(data)
         return data
+
+    def _decompress_to(self, end: int) -> None:
+        if end <= _MAX_STEPPED:
+            while len(self._decompressed) < end and (more := self._source.read(_STEP)):
+                self._decompressed += more
+            return
+        self._stream.seek(self._chunk.header.start)
+        try:
+            whole = _decompress(self._chunk, self._stream.read(self._chunk.stored))
+        except SourceError as error:
+            raise ValueError(str(error)) from error
+        self._decompressed = max(whole, self._decompressed, key=len)
 
 
 class _FileRange:
@@ -155,39 +160,3 @@ def load_chunk(path: Path, chunk: Chunk) -> bytes:
     with path.open("rb") as stream:
         stream.seek(chunk.header.start)
         return decompress(chunk, stream.read(chunk.stored))
-
-
-class ChunkCache:
-    """Thread-safe cache of the most recently used chunks."""
-
-    def __init__(self, path: Path, chunks: list[Chunk]) -> None:
-        self._path = path
-        self._chunks = chunks
-        self._lock = threading.Lock()
-        self._cached: OrderedDict[int, Future[bytes]] = OrderedDict()
-
-    def get(self, number: int) -> bytes:
-        """The records of a chunk; waits for one that another thread is decompressing.
-
-        Raises:
-            Damaged: as in `decompress`.
-            OSError: the file cannot be read.
-        """
-        with self._lock:
-            waiting = self._cached.get(number)
-            future: Future[bytes] = waiting or Future()
-            self._cached[number] = future
-            self._cached.move_to_end(number)
-            self._drop_oldest()
-        if waiting is None:
-            try:
-                future.set_result(load_chunk(self._path, self._chunks[number]))
-            except (Damaged, OSError) as error:
-                future.set_exception(error)
-        return future.result()
-
-    def _drop_oldest(self) -> None:
-        size = sum(self._chunks[number].header.decompressed_size for number in self._cached)
-        while size > _MAX_CACHED_BYTES and len(self._cached) > _MIN_CACHED:
-            number, _ = self._cached.popitem(last=False)
-            size -= self._chunks[number].header.decompressed_size

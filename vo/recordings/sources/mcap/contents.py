@@ -12,8 +12,8 @@ from typing import BinaryIO
 from mcap.records import ChunkIndex, Footer, Statistics
 
 from vo.base.errors import SourceError
+from vo.recordings.sources.logs.log import MessageSpan
 from vo.recordings.sources.mcap.chunks import Chunk, decompress
-from vo.recordings.sources.mcap.index import NO_CHUNK, ChannelStatistics, MessageIndex
 from vo.recordings.sources.mcap.records import (
     CHANNEL,
     CHUNK,
@@ -21,10 +21,12 @@ from vo.recordings.sources.mcap.records import (
     DATA_END,
     FOOTER,
     MAGIC,
+    NO_CHUNK,
     RECORD_HEADER,
     SCHEMA,
     STATISTICS,
     Damaged,
+    MessageIndex,
     Record,
     parse,
     read_chunk_header,
@@ -110,7 +112,7 @@ def _from_records(stream: BinaryIO, summary: bytes, data_end: int) -> FileConten
     if set(counts) - set(index.channels):
         return None
     for number, count in counts.items():
-        index.statistics[number] = ChannelStatistics(
+        index.statistics[number] = MessageSpan(
             count, statistics.message_start_time, statistics.message_end_time
         )
     contents = FileContents(index, [], is_listed=False, end=data_end)

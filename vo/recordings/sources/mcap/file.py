@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from vo.base.errors import SourceError
-from vo.recordings.sources.logs.log import NS_PER_S, Entry, Topic, UnreadTopic
-from vo.recordings.sources.mcap.chunks import Chunk, ChunkCache, DecompressedStream
+from vo.recordings.sources.logs.log import (
+    NS_PER_S,
+    ChunkCache,
+    Entry,
+    MessageSpan,
+    Topic,
+    UnreadTopic,
+    topic_of,
+    unread_topics,
+)
+from vo.recordings.sources.mcap.chunks import Chunk, DecompressedStream, load_chunk
 from vo.recordings.sources.mcap.contents import FileContents, read_contents
-from vo.recordings.sources.mcap.index import NO_CHUNK, MessageAddress, MessageIndex
-from vo.recordings.sources.mcap.records import Damaged
+from vo.recordings.sources.mcap.records import (
+    NO_CHUNK,
+    Damaged,
+    MessageAddress,
+    MessageIndex,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -30,14 +43,15 @@ class McapFile:
             self._contents = contents or read_contents(path)
         except OSError as error:
             raise read_error(path, error) from error
-        self._cache = ChunkCache(path, self._contents.chunks)
+        chunks = self._contents.chunks
+        self._cache = ChunkCache(lambda number: load_chunk(path, chunks[number]))
         self._channels_of = _channels_by_topic(self._contents.index)
         self.topics = [
             topic
             for name in sorted(self._channels_of)
             if (topic := _topic(name, self._channels_of[name], self._contents.index)) is not None
         ]
-        self.unread = _unread(self._contents.index, frozenset(self._channels_of))
+        self.unread = unread_topics(_all_topics(self._contents.index), self._channels_of)
         if contents is None:
             warn_of_damage(path, self._contents)
 
@@ -115,32 +129,21 @@ def _channels_by_topic(index: MessageIndex) -> dict[str, list[int]]:
     return channels
 
 
-def _unread(index: MessageIndex, readable: frozenset[str]) -> list[UnreadTopic]:
-    """All other topics; the first channel of a topic determines its schema."""
-    found: dict[str, UnreadTopic] = {}
+def _all_topics(index: MessageIndex) -> Iterator[UnreadTopic]:
     for number, channel in sorted(index.channels.items()):
-        if channel.topic not in readable:
-            schema = index.schemas.get(channel.schema_id)
-            kind = channel.message_encoding if schema is None else schema.name
-            topic = found.get(channel.topic, UnreadTopic(channel.topic, kind, 0))
-            count = index.statistics[number].count if number in index.statistics else 0
-            found[channel.topic] = topic._replace(messages=topic.messages + count)
-    return [found[name] for name in sorted(found)]
+        schema = index.schemas.get(channel.schema_id)
+        kind = channel.message_encoding if schema is None else schema.name
+        count = index.statistics.get(number, MessageSpan()).count
+        yield UnreadTopic(channel.topic, kind, count)
 
 
 def _topic(name: str, numbers: list[int], index: MessageIndex) -> Topic | None:
     """A topic of one or more channels; the first determines its schema."""
     codec = index.codec(numbers[0])
-    statistics = [index.statistics[number] for number in numbers]
     if codec is None:
         return None
-    return Topic(
-        name=name,
-        schema=index.schemas[index.channels[numbers[0]].schema_id].name,
-        codec=codec,
-        count=sum(each.count for each in statistics),
-        span_ns=max(t.last_ns for t in statistics) - min(t.first_ns for t in statistics),
-    )
+    schema = index.schemas[index.channels[numbers[0]].schema_id].name
+    return topic_of(name, schema, codec, [index.statistics[number] for number in numbers])
 
 
 def _merged(lists: list[list[Entry]]) -> list[Entry]:

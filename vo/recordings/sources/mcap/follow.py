@@ -1,17 +1,20 @@
-"""MCAP files that are still being written."""
+"""MCAP files as recordings, also while they are being written."""
 
 from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from vo.base.errors import SourceError
+from vo.base.types import Mode
 from vo.recordings.sources.images import StoredImage
 from vo.recordings.sources.listing import Shot
-from vo.recordings.sources.logs.choice import IMAGE_KINDS
+from vo.recordings.sources.logs.choice import IMAGE_KINDS, choose_topics
 from vo.recordings.sources.logs.images import image_factory
-from vo.recordings.sources.logs.log import Topic
+from vo.recordings.sources.logs.log import MessageSpan, Topic
+from vo.recordings.sources.logs.opening import open_log
 from vo.recordings.sources.logs.stamps import stamp_of
 from vo.recordings.sources.mcap.contents import (
     empty_contents,
@@ -19,9 +22,9 @@ from vo.recordings.sources.mcap.contents import (
     scan_new_records,
 )
 from vo.recordings.sources.mcap.file import McapFile, read_error, warn_of_damage
-from vo.recordings.sources.mcap.index import ChannelStatistics
 from vo.recordings.sources.mcap.records import MAGIC
 from vo.recordings.sources.pairing import MAX_TOLERANCE_NS
+from vo.recordings.sources.source import Recording
 
 _log = logging.getLogger(__name__)
 
@@ -78,7 +81,7 @@ class GrowingFile:
         for number in index.channels:
             codec = index.codec(number)
             if codec is not None and issubclass(codec.kind, IMAGE_KINDS):
-                counts.append(index.statistics.get(number, ChannelStatistics()).count)
+                counts.append(index.statistics.get(number, MessageSpan()).count)
         return max(counts)
 
 
@@ -162,3 +165,24 @@ def _pop_partner(rights: list[Shot], stamp_ns: int) -> StoredImage | None:
     partner = rights[nearest].image
     del rights[: nearest + 1]
     return partner
+
+
+def open_growing(
+    path: Path,
+    calibration: Path | None,
+    mode: Mode,
+    topics: Sequence[str] = (),
+    right_offset_ns: int | None = None,
+) -> Recording:
+    """Open a file that is still being written; arguments as of `open_log`.
+
+    Frames are read as they arrive, until the file is closed or has stopped growing.
+    """
+    growing = GrowingFile(path)
+    file = growing.wait_for_cameras()
+    source = open_log(file, "mcap", calibration, mode, topics, right_offset_ns)
+    choice = choose_topics(file.topics, topics, mode)
+    right = choice.right if source.rig.is_stereo else None
+    arriving = ArrivingFrames(growing, file, choice.left, right, source.right_offset_ns)
+    source.follow(arriving.next_frames)
+    return source

@@ -1,4 +1,4 @@
-"""Records of an MCAP file: iteration and parsing.
+"""Records of an MCAP file, and the index made of them: channels, and addresses of messages.
 
 Source: MCAP format specification, version 0.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from io import BytesIO
 from typing import NamedTuple, Protocol, TypeVar, cast
 
@@ -15,7 +16,11 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
 
+from vo.base.errors import SourceError
+from vo.recordings.formats.codecs import find_codec
 from vo.recordings.formats.decompression import size_limit
+from vo.recordings.formats.messages import HEAD_BYTES, Codec
+from vo.recordings.sources.logs.log import Entry, MessageSpan
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")
@@ -25,6 +30,8 @@ _MAX_OPCODE, _MIN_PRIVATE_OPCODE = 0x0F, 0x80
 _MAX_NAME_BYTES = 16
 
 Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Schema, Statistics)
+NO_CHUNK = -1
+"""Chunk number of messages outside of chunks."""
 
 
 class Readable(Protocol):
@@ -129,3 +136,91 @@ MESSAGE, CHUNK = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 SCHEMA, CHANNEL = int(Opcode.SCHEMA), int(Opcode.CHANNEL)
 FOOTER, DATA_END = int(Opcode.FOOTER), int(Opcode.DATA_END)
 STATISTICS, CHUNK_INDEX = int(Opcode.STATISTICS), int(Opcode.CHUNK_INDEX)
+
+
+class MessageAddress(NamedTuple):
+    """Address of the data of a message: number of its chunk, first byte and length."""
+
+    chunk: int
+    start: int
+    length: int
+
+
+@dataclass
+class MessageIndex:
+    """Index built from records.
+
+    Attributes:
+        entries: messages by channel number, for channels that can be decoded.
+        codecs: decoder by channel number; None for unsupported message types.
+        listed: numbers of the channels whose messages are listed; None for all.
+    """
+
+    channels: dict[int, Channel] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    statistics: dict[int, MessageSpan] = field(default_factory=dict)
+    entries: dict[int, list[Entry]] = field(default_factory=dict)
+    codecs: dict[int, Codec | None] = field(default_factory=dict)
+    listed: frozenset[int] | None = None
+
+    def add_records(
+        self, stream: Readable, start: int, end: int, chunk: int, offset: int = 0
+    ) -> None:
+        """Add all records of a byte range.
+
+        `chunk`: number of the chunk; `NO_CHUNK` outside of chunks.
+        `offset`: position in the stream at which the data of the chunk begins.
+
+        Raises:
+            Damaged: a record is invalid; the records before it have been added.
+        """
+        for record in records_between(stream, start, end):
+            self.add_record(stream, record, chunk, offset)
+
+    def add_record(self, stream: Readable, record: Record, chunk: int, offset: int = 0) -> None:
+        """Add a record; arguments and errors as for `add_records`."""
+        if record.opcode == MESSAGE:
+            self._add_message(stream, record, chunk, offset)
+        elif record.opcode == SCHEMA:
+            schema = parse(Schema, _content(stream, record), record.start)
+            self.schemas.setdefault(schema.id, schema)
+        elif record.opcode == CHANNEL:
+            channel = parse(Channel, _content(stream, record), record.start)
+            self.channels.setdefault(channel.id, channel)
+
+    def codec(self, number: int) -> Codec | None:
+        """The decoder of a channel, or None."""
+        if number not in self.codecs:
+            channel = self.channels.get(number)
+            schema = None if channel is None else self.schemas.get(channel.schema_id)
+            if channel is None or schema is None:
+                return None
+            self.codecs[number] = find_codec(
+                channel.message_encoding, schema.name, schema.encoding, schema.data
+            )
+        return self.codecs[number]
+
+    def _add_message(self, stream: Readable, record: Record, chunk: int, offset: int) -> None:
+        stream.seek(record.start)
+        header = stream.read(min(record.length, MESSAGE_HEADER.size + HEAD_BYTES))
+        if len(header) < MESSAGE_HEADER.size:
+            raise Damaged(record.start, f"a message of {record.length} bytes is too short")
+        number, _, log_ns, _ = MESSAGE_HEADER.unpack_from(header)
+        self.statistics.setdefault(number, MessageSpan()).add(log_ns)
+        if self.listed is not None and number not in self.listed:
+            return
+        codec = self.codec(number)
+        if codec is None:
+            return
+        try:
+            stamp_ns = codec.peek_stamp_ns(header[MESSAGE_HEADER.size :])
+        except SourceError:
+            stamp_ns = None
+        start, length = record.start + MESSAGE_HEADER.size, record.length - MESSAGE_HEADER.size
+        entry = Entry(log_ns, stamp_ns, MessageAddress(chunk, start - offset, length))
+        self.entries.setdefault(number, []).append(entry)
+
+
+def _content(stream: Readable, record: Record) -> bytes:
+    stream.seek(record.start)
+    return stream.read(record.length)
