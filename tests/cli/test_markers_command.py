@@ -121,6 +121,33 @@ def test_a_printed_sheet_has_the_size_it_says(tmp_path: Path) -> None:
     assert "--print needs --length" in missing.stderr
 
 
+@pytest.mark.parametrize("kind", ["grid", "charuco"])
+def test_a_printed_board_is_the_one_that_is_found(
+    kind: str, tmp_path: Path, calibration: Path
+) -> None:
+    pytest.importorskip("matplotlib")
+    sheet = tmp_path / "board.png"
+    board = ["--board", kind, "--columns", "4", "--rows", "3", "--dictionary", "4X4_50"]
+    board += ["--length", "0.03", "--gap", "0.01", "--square", "0.04"]
+    result = CliRunner().invoke(app, ["markers", "--print", str(sheet), *board])
+    assert result.exit_code == 0, result.output
+    assert kind in result.stderr and "4 x 3" in result.stderr
+    image = cv2.imread(str(sheet), cv2.IMREAD_GRAYSCALE)
+    focal = 1.5 * image.shape[1]
+    centre = (0.5 * image.shape[1] - 0.5, 0.5 * image.shape[0] - 0.5)
+    camera = Camera(image.shape[1], image.shape[0], focal, focal, *centre)
+    vo.write_calibration(calibration, Rig(camera))
+    words = ["markers", str(sheet), *board, "--calibration", str(calibration), "--json"]
+    found = CliRunner().invoke(app, words)
+    assert found.exit_code == 0, found.output
+    (frame,) = json.loads(found.stdout)["frames"]
+    assert len(frame["markers"]) == (12 if kind == "grid" else 10)
+    pose = np.array(frame["board"]["cam_from_marker"])
+    assert pose[2, 3] == pytest.approx(focal * 0.0254 / 300, rel=5e-3)
+    refused = CliRunner().invoke(app, ["markers", "--print", str(sheet), *board, "--ids", "3"])
+    assert refused.exit_code == 1 and "a board has those from 0 on" in refused.stderr
+
+
 def test_the_library_finds_the_same(calibration: Path, tmp_path: Path) -> None:
     image = cv2.imread(str(_image(tmp_path / "a.png", 3)))
     (marker,) = vo.find_markers(image, 0.16, calibration=str(calibration))

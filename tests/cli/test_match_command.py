@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from two_images import layered_pair
+from two_images import layered_pair, texture
 from typer.testing import CliRunner, Result
 
 from vo.cli.app import app
@@ -80,6 +80,20 @@ def test_quiet_prints_failures_only(folder: Path, tmp_path: Path) -> None:
     assert result.stderr == "no model: 0 matches, 8 needed\n"
     record = json.loads(match(folder / "a.png", black, "--json").stdout)
     assert record["failure"] == "0 matches, 8 needed"
+
+
+def test_unrelated_images_have_no_model(tmp_path: Path) -> None:
+    for seed in (3, 4):
+        cv2.imwrite(str(tmp_path / f"{seed}.png"), texture(seed, 240, 320))
+    words = (tmp_path / "3.png", tmp_path / "4.png", "--detector", "sift", "--ratio", 0.95)
+    result = match(*words)
+    assert result.exit_code == 1
+    assert "no model: the images share no geometry that is better than chance:" in result.stdout
+    result = match(*words, "--json")
+    record = json.loads(result.stdout)
+    assert result.exit_code == 1 and record["model"] is None
+    assert record["failure_reason"] == "no_consensus"
+    assert record["chance"]["inliers"] < record["chance"]["needed"]
 
 
 @pytest.mark.parametrize(

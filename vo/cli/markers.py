@@ -81,7 +81,7 @@ class Request:
     reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
     frames: options.Frames
     sheet: Path | None = option(
-        "Write markers to print in true size: .pdf, .png or .svg.",
+        "Write markers, or the board of --board, to print in true size: .pdf, .png or .svg.",
         "--print",
         default=None,
         metavar="FILE",

@@ -20,12 +20,13 @@ from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.single_image import read_single_image
-from vo.tools.markers.boards import CharucoBoard, MarkerBoard, check_length, make_charuco, make_grid
+from vo.tools.calibrating.printing import save_board
+from vo.tools.markers.boards import CharucoBoard, GridBoard, check_length, make_charuco, make_grid
 from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
 from vo.tools.markers.image_markers import FrameMarkers
 from vo.tools.markers.picture import check_picture, draw_markers, save_picture
-from vo.tools.markers.printing import parse_ids, save_sheet
+from vo.tools.markers.printing import parse_ids, save_grid, save_sheet
 from vo.tools.markers.search import MarkerFinder, find_too_small
 from vo.tools.markers.table import frame_record, write_csv
 
@@ -58,19 +59,32 @@ class MarkersResult:
 
 
 def write_sheet(request: Request, *, is_json: bool) -> None:
-    """Write markers to print; raises `VoError`."""
+    """Write markers or a board to print; raises `VoError`."""
     path, length_m = request.sheet, request.length
     assert path is not None
-    if length_m is None:
-        raise ConfigError("--print needs --length, the side of the black square, such as 0.16")
     name = dictionary_name(request.dictionary)
     name = DEFAULT_TO_PRINT if name == AUTO else name
-    numbers = parse_ids(request.ids)
-    save_sheet(path, name, numbers, length_m)
+    board = _board(request, name)
+    if board is not None and request.ids != "0":
+        raise ConfigError("--ids belongs to single markers; a board has those from 0 on")
+    if isinstance(board, CharucoBoard):
+        save_board(path, board.board)
+        numbers = list(range((board.board.columns + 1) * (board.board.rows + 1) // 2))
+        length_m, what = board.board.marker_m, f"{board.board} with markers"
+    elif board is not None:
+        save_grid(path, name, board)
+        numbers = list(range(board.columns * board.rows))
+        length_m, what = board.length_m, f"grid of {board.columns} x {board.rows} markers"
+    else:
+        if length_m is None:
+            raise ConfigError("--print needs --length, the side of the black square, such as 0.16")
+        numbers = parse_ids(request.ids)
+        save_sheet(path, name, numbers, length_m)
+        what = counted(len(numbers), "marker")
     if is_json:
         echo_json({"output": str(path), "dictionary": name, "ids": numbers, "length_m": length_m})
         return
-    size = f"{counted(len(numbers), 'marker')} of {name}, {1000 * length_m:g} mm"
+    size = f"{what} of {name}, {1000 * length_m:g} mm"
     echo(f"{path}: {size}; print at 100 % and measure the black square", err=True)
 
 
@@ -165,18 +179,20 @@ def _finished(
 
 
 def _finder(request: Request, detector: MarkerDetector, camera: Camera | None) -> MarkerFinder:
-    board: MarkerBoard | None = None
-    wanted = request.board
+    return MarkerFinder(detector, request.length, camera, _board(request, detector.name))
+
+
+def _board(request: Request, dictionary: str) -> GridBoard | CharucoBoard | None:
+    wanted, length_m = request.board, request.length
+    columns, rows = wanted.columns, wanted.rows
+    if wanted.board is None:
+        return None
     if wanted.board == "grid":
-        if request.length is None:
+        if length_m is None:
             raise ConfigError("--board grid needs --length, the side of a marker")
-        size = (wanted.columns, wanted.rows, request.length, wanted.gap)
-        board = make_grid(*size, detector.name)
-    elif wanted.board == "charuco":
-        marker_m = request.length or 0.75 * wanted.square
-        size = (wanted.columns, wanted.rows, wanted.square, marker_m)
-        board = CharucoBoard(make_charuco(*size, detector.name))
-    return MarkerFinder(detector, request.length, camera, board)
+        return make_grid(columns, rows, length_m, wanted.gap, dictionary)
+    marker_m = length_m or 0.75 * wanted.square
+    return CharucoBoard(make_charuco(columns, rows, wanted.square, marker_m, dictionary))
 
 
 def _checked_camera(

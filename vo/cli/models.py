@@ -108,11 +108,15 @@ def _do(
 
 
 def _print(action: Action, rows: list[dict[str, Any]]) -> None:
+    from vo.engine.learned.catalog import find_model
+    from vo.engine.learned.files import fetching_command
+
     for row in rows:
         if action is Action.PATH:
             echo(row["path"])
         elif action is Action.LIST:
-            where = row["path"] if row["bytes"] else f"not here: vo models fetch {row['name']}"
+            command = fetching_command(find_model(row["name"]))
+            where = row["path"] if row["bytes"] else f"not here: {command}"
             licences = f"code {row['code_licence']}, weights {row['weights_licence']}"
             echo(f"{row['name']}: {row['task']} ({row['paper']}; {licences}); {where}")
         else:

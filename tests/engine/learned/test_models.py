@@ -227,6 +227,17 @@ def test_a_damaged_onnx_file_is_one_line(tmp_path: Path) -> None:
             load(path, backend)  # type: ignore[arg-type]
 
 
+def test_models_that_are_not_here_name_a_command_that_works() -> None:
+    """Weights that no package contains have to be given, and their licence accepted."""
+    listed = CliRunner().invoke(app, ["models"]).stdout
+    for model in catalog.MODELS.values():
+        (line,) = [each for each in listed.splitlines() if each.startswith(f"{model.name}: ")]
+        if "not here: " in line:
+            words = line.partition("vo models ")[2].split()
+            assert ("--from" in words) == (model.wheel is None)
+            assert ("--accept-licence" in words) == (not model.is_free)
+
+
 def test_the_command(tiny: catalog.Model, tmp_path: Path) -> None:
     run = CliRunner().invoke
     listed = run(app, ["models"]).stdout

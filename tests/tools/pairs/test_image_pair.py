@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from two_images import CAMERA, MOTION, layered_pair, plane_homography, plane_pair
+from two_images import CAMERA, MOTION, layered_pair, plane_homography, plane_pair, texture
 
 from vo.base.config import Config
 from vo.base.errors import CalibrationError, ConfigError, OutputError
@@ -81,6 +81,21 @@ def test_images_of_two_lenses_and_sizes() -> None:
     assert np.rad2deg(rotation_angle(turned)) < 0.5
 
 
+@pytest.mark.parametrize("model", ["auto", "h", "f", "e"])
+@pytest.mark.parametrize("detector", ["orb", "sift"])
+def test_unrelated_images_share_no_geometry(detector: str, model: str) -> None:
+    images = [texture(seed, 240, 320) for seed in range(3, 9)]
+    chosen = options(BOTH, detector=detector, model=model, ratio=0.95)
+    for one, other in zip(images, images[1:], strict=False):
+        pair = match_images((one, other), chosen)
+        assert len(pair.matches.query) > 3
+        assert pair.fit is None and pair.failure is not None
+        record = pair_record(pair, chosen, ("a", "b"))
+        assert (
+            record["inliers"] == 0 and record["failure_reason"] == pair.failure.reason.name.lower()
+        )
+
+
 def blank(grey: int = 0, size: tuple[int, int] = (240, 320)) -> Bytes:
     return np.full(size, grey, np.uint8)
 
@@ -150,7 +165,9 @@ def test_the_record_is_json() -> None:
     chosen = options(BOTH, detector="orb")
     record = json.loads(json.dumps(pair_record(found(), chosen, ("a", "b")), allow_nan=False))
     assert record["images"][0]["name"] == "a" and record["images"][1]["width"] == 320
-    assert record["model"]["kind"] == "essential" and record["failure"] is None
+    assert record["model"]["kind"] == "essential"
+    assert record["failure"] is None and record["failure_reason"] is None
+    assert record["chance"]["inliers"] >= record["chance"]["needed"]
     assert 0 < record["inliers"] <= record["matches"]
     assert record["pose"]["has_translation"]
     assert np.shape(record["pose"]["second_from_first"]) == (4, 4)

@@ -232,6 +232,42 @@ def test_degenerate_matches_are_named(name: str, method: RobustMethod) -> None:
             assert "{" not in found.text
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("count", [4, 6, 8, 15, 60])
+def test_random_matches_have_no_model(kind: ModelKind, count: int) -> None:
+    """Of few and of many, spread over the image or, as learned matchers do it, close together."""
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        first = random.uniform((0, 0), (640, 480), (count, 2))
+        second = random.uniform((0, 0), (640, 480) if seed % 2 else (60, 40), (count, 2))
+        given = Pair(first, second, np.eye(4), np.zeros(count), np.ones(count, dtype=bool))
+        found = fit(kind, given, FitOptions())
+        assert isinstance(found, FitFailure)
+
+
+def test_matches_at_one_place_count_once() -> None:
+    """A corner with several orientations is matched several times by the same mistake."""
+    random = np.random.default_rng(1)
+    first, second = random.uniform((0, 0), (640, 480), (2, 4, 2))
+    again = [0, 0, 1, 1, 2, 2, 3]
+    found = fit_homography(first[again], second[again] + random.normal(0, 0.2, (7, 2)))
+    assert isinstance(found, FitFailure)
+    assert found.reason is FitFailureReason.NO_CONSENSUS
+    assert found.text == (
+        "the images share no geometry that is better than chance: 4 of 4 matches at different "
+        "places fit, 5 are needed"
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_few_right_matches_are_more_than_chance(kind: ModelKind) -> None:
+    for seed in range(5):
+        given = pair(seed, count=24, wrong=0.25, plane=kind is ModelKind.HOMOGRAPHY)
+        found = fit(kind, given, FitOptions())
+        assert isinstance(found, Fit), found
+        assert found.evidence.inliers >= found.evidence.needed > 4
+
+
 def test_rows_without_a_number_are_left_out() -> None:
     given = pair(2, wrong=0.2)
     first = given.first.copy()

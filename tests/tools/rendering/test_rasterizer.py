@@ -7,7 +7,7 @@ import numpy as np
 from vo.base.geometry import cameras
 from vo.base.types import Camera
 from vo.recordings.formats.mesh import Mesh
-from vo.tools.rendering.placement import Placement, axes, placed
+from vo.tools.rendering.placement import Placement, axes, placed, standing
 from vo.tools.rendering.rasterizer import draw, shading
 
 CAMERA = Camera(80, 60, 50.0, 50.0, 39.5, 29.5)
@@ -61,11 +61,14 @@ def test_a_distorted_lens_bends_the_model() -> None:
 def test_the_model_stands_on_its_place() -> None:
     model = axes()
     for up, top in (("y", 1), ("z", 2)):
-        vertices = placed(model, Placement(np.array([1.0, 2.0, 3.0]), 0.5, up))
-        assert np.isclose(np.ptp(vertices, axis=0).max(), 0.5)
-        assert np.isclose(vertices[:, 1].max(), 2.0)  # y points down in the world
-        assert model.vertices[vertices[:, 1].argmin(), top] == 1.0
-    own = placed(model, Placement(np.zeros(3), None, "-y"))
+        for world_up, height in (("-y", lambda xyz: 2.0 - xyz[:, 1]), ("z", lambda xyz: xyz[:, 2])):
+            foot = np.array([1.0, 2.0, 0.0])
+            placement = Placement(foot, 0.5, up, world_up)
+            vertices = placed(standing(model, placement), placement)
+            assert np.isclose(np.ptp(vertices, axis=0).max(), 0.5)
+            assert np.isclose(height(vertices).min(), 0.0)
+            assert model.vertices[height(vertices).argmax(), top] == 1.0
+    own = standing(model, Placement(np.zeros(3), None, "-y"))
     assert np.isclose(np.ptp(own, axis=0).max(), 1.03)
     shade = shading(own, model.triangles)
     assert 0.4 < shade.min() < shade.max() <= 1.0

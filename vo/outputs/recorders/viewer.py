@@ -81,8 +81,10 @@ class ViewerProcess:
     `url`: address to stream data to. `page`: address for a browser; None for a native viewer.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], port: int, page: str | None) -> None:
-        self._process = process
+    def __init__(
+        self, process: subprocess.Popen[bytes], port: int, page: str | None, advice: str
+    ) -> None:
+        self._process, self._advice = process, advice
         self.url = f"rerun+http://{_LOCALHOST}:{port}/proxy"
         self.page = page
 
@@ -94,7 +96,7 @@ class ViewerProcess:
         """
         status = self._process.wait()
         if status:
-            raise OutputError(f"the viewer ended with status {status}; use `serve` or `web`")
+            raise OutputError(f"the viewer ended with status {status}; {self._advice}")
 
     def stop(self) -> None:
         """Close the viewer."""
@@ -116,14 +118,17 @@ def start_native(file: Path | None = None) -> ViewerProcess:
     Raises:
         OutputError: it does not start, usually because there is no display.
     """
-    problem, advice = "a viewer cannot be opened here", "use `serve` or `web`"
+    problem, advice = (
+        "a viewer cannot be opened here",
+        f"use `{'serve' if file is None else 'web'}`",
+    )
     if sys.platform == "linux" and not any(map(os.environ.get, _DISPLAYS)):
         raise OutputError(f"{problem}: no display, {' and '.join(_DISPLAYS)} are not set; {advice}")
     port = _free_port()
     shown = "--expect-data-soon" if file is None else str(file)
     arguments = [shown, "--port", str(port), "--bind", _LOCALHOST, "--hide-welcome-screen"]
     process = _start(arguments, (port,), problem, advice)
-    return ViewerProcess(process, port, None)
+    return ViewerProcess(process, port, None, advice)
 
 
 def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
@@ -142,7 +147,7 @@ def start_web(*, port: int = 0, bind: str = _LOCALHOST) -> ViewerProcess:
     process = _start(arguments, (web, data), problem, advice, starter=_ending_with_this_process())
     page = f"http://{host_of(bind)}:{web}/"
     proxy = f"rerun+http://{host_of(bind)}:{data}/proxy"
-    return ViewerProcess(process, data, f"{page}?url={quote(proxy, safe='')}")
+    return ViewerProcess(process, data, f"{page}?url={quote(proxy, safe='')}", advice)
 
 
 def host_of(bind: str) -> str:

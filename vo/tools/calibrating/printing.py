@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +14,36 @@ from vo.base.extras import require
 from vo.base.types import Bytes
 from vo.tools.calibrating.board import Board
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _SUFFIXES = (".pdf", ".png", ".svg")
 _METRES_PER_INCH = 0.0254
 _DPI = 300
 _PIXELS_PER_SQUARE = 80
+
+
+@contextmanager
+def printed_page(path: Path, width_m: float, height_m: float, what: str) -> Iterator[Figure]:
+    """A figure of this size, written when the block ends.
+
+    Raises:
+        OutputError: unsupported suffix, or the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    if path.suffix.lower() not in _SUFFIXES:
+        raise OutputError(f"{path}: unsupported kind of file; use {', '.join(_SUFFIXES)}")
+    require("matplotlib", extra="report", what=what)
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width_m / _METRES_PER_INCH, height_m / _METRES_PER_INCH), dpi=_DPI)
+    FigureCanvasAgg(figure)
+    yield figure
+    try:
+        figure.savefig(path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def save_board(path: Path | str, board: Board) -> None:
@@ -24,26 +53,14 @@ def save_board(path: Path | str, board: Board) -> None:
         OutputError: unsupported suffix, or the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
-    require("matplotlib", extra="report", what="printed boards")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    path = Path(path)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: unsupported kind of file; use {', '.join(_SUFFIXES)}")
     across, down = board.columns + 3, board.rows + 3
-    inches = board.square_m / _METRES_PER_INCH
-    figure = Figure(figsize=(across * inches, down * inches), dpi=_DPI)
-    FigureCanvasAgg(figure)
-    axes = figure.add_axes((1 / across, 1 / down, 1 - 2 / across, 1 - 2 / down))
-    axes.imshow(draw_board(board), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    axes.set_axis_off()
-    size = min(0.25 * inches * 72, 14)
-    figure.text(0.5, 0.4 / down, _legend(board), ha="center", va="center", size=size)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    square = board.square_m
+    with printed_page(Path(path), across * square, down * square, "printed boards") as figure:
+        axes = figure.add_axes((1 / across, 1 / down, 1 - 2 / across, 1 - 2 / down))
+        axes.imshow(draw_board(board), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+        axes.set_axis_off()
+        size = min(0.25 * square / _METRES_PER_INCH * 72, 14)
+        figure.text(0.5, 0.4 / down, _legend(board), ha="center", va="center", size=size)
 
 
 def draw_board(board: Board, per_square: int = _PIXELS_PER_SQUARE) -> Bytes:

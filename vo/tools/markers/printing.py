@@ -7,15 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.base.errors import ConfigError, OutputError
-from vo.base.extras import require
+from vo.base.errors import ConfigError
 from vo.base.types import Bytes
 from vo.engine.markers.dictionaries import dictionary, marker_count
-from vo.tools.markers.boards import check_length
+from vo.tools.calibrating.printing import printed_page
+from vo.tools.markers.boards import GridBoard, check_length
 
-_SUFFIXES = (".pdf", ".png", ".svg")
-_METRES_PER_INCH = 0.0254
-_DPI = 300
 _PAGE_M = 0.190  # usable width of A4
 _LEGEND_M = 0.008
 _MAX_MARKERS = 100
@@ -24,12 +21,6 @@ _MAX_MARKERS = 100
 def save_sheet(path: Path, name: str, ids: Sequence[int], length_m: float) -> None:
     """Write markers side by side, each with a white margin of one cell and its id and size.
 
-    Args:
-        path: .pdf, .png or .svg file.
-        name: of the dictionary.
-        ids: of the markers.
-        length_m: side of the black squares.
-
     Raises:
         ConfigError: no such marker, or an implausible length.
         OutputError: unsupported suffix, or the file cannot be written.
@@ -37,37 +28,50 @@ def save_sheet(path: Path, name: str, ids: Sequence[int], length_m: float) -> No
     """
     check_length(length_m)
     _check_ids(name, ids)
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: unsupported kind of file; use {', '.join(_SUFFIXES)}")
-    require("matplotlib", extra="report", what="printed markers")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     cells = int(dictionary(name).markerSize) + 2
     tile = length_m * (cells + 2) / cells  # with a margin of one cell
     columns = max(1, min(len(ids), int(_PAGE_M / tile)))
     rows = -(-len(ids) // columns)
     width, height = columns * tile, rows * (tile + _LEGEND_M)
-    figure = Figure(figsize=(width / _METRES_PER_INCH, height / _METRES_PER_INCH), dpi=_DPI)
-    FigureCanvasAgg(figure)
-    for n, number in enumerate(ids):
-        row, column = divmod(n, columns)
-        left, top = column * tile, height - row * (tile + _LEGEND_M)
-        axes = figure.add_axes((left / width, (top - tile) / height, tile / width, tile / height))
-        axes.imshow(marker_image(name, number), cmap="gray", vmin=0, vmax=255)
-        axes.set_axis_off()
-        figure.text(
-            (left + 0.5 * tile) / width,
-            (top - tile - 0.4 * _LEGEND_M) / height,
-            f"{name} {number}, black square {1000 * length_m:g} mm",
-            ha="center",
-            va="center",
-            size=min(9.0, 1500.0 * tile / 25.4),
+    with printed_page(path, width, height, "printed markers") as figure:
+        for n, number in enumerate(ids):
+            row, column = divmod(n, columns)
+            left, top = column * tile, height - row * (tile + _LEGEND_M)
+            axes = figure.add_axes(
+                (left / width, (top - tile) / height, tile / width, tile / height)
+            )
+            axes.imshow(marker_image(name, number), cmap="gray", vmin=0, vmax=255)
+            axes.set_axis_off()
+            figure.text(
+                (left + 0.5 * tile) / width,
+                (top - tile - 0.4 * _LEGEND_M) / height,
+                f"{name} {number}, black square {1000 * length_m:g} mm",
+                ha="center",
+                va="center",
+                size=min(9.0, 1500.0 * tile / 25.4),
+            )
+
+
+def save_grid(path: Path, name: str, grid: GridBoard) -> None:
+    """Write a grid of markers with its gaps; raises as `save_sheet` does."""
+    step, length = grid.length_m + grid.gap_m, grid.length_m
+    margin = max(0.5 * length, grid.gap_m, _LEGEND_M)
+    width = grid.columns * step - grid.gap_m + 2 * margin
+    height = grid.rows * step - grid.gap_m + 2 * margin
+    with printed_page(path, width, height, "printed markers") as figure:
+        for number in range(grid.columns * grid.rows):
+            row, column = divmod(number, grid.columns)
+            left, bottom = margin + column * step, height - margin - row * step - length
+            axes = figure.add_axes((left / width, bottom / height, length / width, length / height))
+            image = marker_image(name, number)[1:-1, 1:-1]
+            axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+            axes.set_axis_off()
+        legend = (
+            f"vo markers --board grid --columns {grid.columns} --rows {grid.rows} "
+            f"--length {length:g} --gap {grid.gap_m:g} --dictionary {name}"
         )
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+        size = min(9.0, 1.5 * 72 * width / 0.0254 / len(legend))
+        figure.text(0.5, 0.4 * margin / height, legend, ha="center", va="center", size=size)
 
 
 def marker_image(name: str, number: int) -> Bytes:

@@ -41,8 +41,11 @@ def fit_best(
     else:
         lines = fit_essential(first, second, matrices, options, quality)
     plane = fit_homography(first, second, options, quality)
-    fits = [fit for fit in (lines, plane) if isinstance(fit, Fit)]
-    return select_model(fits, options.threshold_px) if fits else lines
+    if isinstance(lines, FitFailure) and isinstance(plane, FitFailure):
+        return lines
+    # Where one model is beyond chance the images are related, and the other one may be better.
+    fits = [each if isinstance(each, Fit) else each.refused for each in (lines, plane)]
+    return select_model([fit for fit in fits if fit is not None], options.threshold_px)
 
 
 def select_model(fits: Sequence[Fit], threshold_px: float) -> Fit:

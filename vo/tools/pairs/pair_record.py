@@ -26,10 +26,17 @@ def pair_record(pair: ImagePair, options: PairOptions, names: tuple[str, str]) -
         "inliers": int(pair.inlier.sum()),
         "model": None if pair.fit is None else _model(pair.fit),
         "failure": None if pair.failure is None else pair.failure.text,
+        "failure_reason": None if pair.failure is None else pair.failure.reason.name.lower(),
+        "chance": _chance(pair),
         "pose": None if pair.pose is None else _pose(pair.pose),
         "pose_failure": None if pair.pose_failure is None else pair.pose_failure.text,
         "ms": {step: round(ms, 3) for step, ms in pair.stage_ms.items()},
     }
+
+
+def _chance(pair: ImagePair) -> dict[str, int] | None:
+    fit = pair.fit if pair.failure is None else pair.failure.refused
+    return None if fit is None else fit.evidence._asdict()
 
 
 def _model(fit: Fit) -> dict[str, Any]:

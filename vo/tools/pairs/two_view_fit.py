@@ -8,7 +8,6 @@ believes that the first matches are the best; so matches are checked, copied and
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from vo.base.types import Floats, Ints
 from vo.engine.geometry import epipolar
+from vo.tools.pairs.chance import evidence
 from vo.tools.pairs.sampson import line_errors, point_errors
 from vo.tools.pairs.simple_motions import (
     inverse_matrix,
@@ -233,21 +233,20 @@ def _fit(
         return failure
     a, b = np.ascontiguousarray(first[rows]), np.ascontiguousarray(second[rows])
     matrix = _first_model(model, a, b, options.threshold_px)
-    if matrix is None:
-        return FitFailure(FitFailureReason.NO_CONSENSUS, 0, len(rows))
-    matrix = _refined(model, matrix, a, b, options.threshold_px)
     error_px = np.full(len(first), np.nan)
-    error_px[rows] = model.errors(matrix, a, b)
+    if matrix is not None:
+        matrix = _refined(model, matrix, a, b, options.threshold_px)
+        error_px[rows] = model.errors(matrix, a, b)
     inlier = error_px <= options.threshold_px
-    count = int(inlier.sum())
-    if count < model.needed or not _is_more_than_chance(model, count, b, options.threshold_px):
-        return FitFailure(FitFailureReason.NO_CONSENSUS, count, len(rows))
-    if _is_on_a_line(first[inlier], options.threshold_px) or _is_on_a_line(
-        second[inlier], options.threshold_px
-    ):
+    found = evidence(model.kind, a, b, inlier[rows], options.threshold_px)
+    failure = FitFailure(FitFailureReason.NO_CONSENSUS, found.inliers, found.needed, found.matches)
+    if matrix is None or int(inlier.sum()) < model.needed:
+        return failure
+    if any(_is_on_a_line(xy[inlier], options.threshold_px) for xy in (first, second)):
         return FitFailure(FitFailureReason.ON_A_LINE)
     symmetric_px = model.symmetric_px(matrix, first[inlier], second[inlier])
-    return Fit(model.kind, matrix, inlier, error_px, symmetric_px, options.method)
+    fit = Fit(model.kind, matrix, inlier, error_px, symmetric_px, options.method, found)
+    return fit if found.is_enough else failure._replace(refused=fit)
 
 
 def _order(first: Floats, second: Floats, options: FitOptions, quality: Floats | None) -> Ints:
@@ -333,27 +332,3 @@ def _refined(
             break
         best = matrix
     return np.asarray(best / np.linalg.norm(best))
-
-
-def _is_more_than_chance(model: _Model, count: int, second: Floats, threshold_px: float) -> bool:
-    """Whether so many inliers are not expected of random matches.
-
-    Source: Moisan and Stival, "A probabilistic criterion to detect rigid point matches between two
-    images", IJCV 2004: expected number of models, of all samples, with `count` inliers.
-    """
-    total, sample = len(second), model.sample
-    if total <= sample + 2:  # too few to tell
-        return True
-    width, height = np.ptp(second, axis=0)
-    area = max(float(width * height), 1e-9)
-    band = 2.0 * threshold_px * float(np.hypot(width, height))
-    if model.kind is ModelKind.HOMOGRAPHY:
-        band = math.pi * threshold_px**2
-    likely = min(math.sqrt(2.0) * band / area, 1.0)  # a Sampson distance is shared by two images
-    expected = math.log(total - sample) + (count - sample) * math.log(likely)
-    expected += _log_choices(total, count) + _log_choices(count, sample)
-    return expected < 0.0
-
-
-def _log_choices(total: int, chosen: int) -> float:
-    return math.lgamma(total + 1) - math.lgamma(chosen + 1) - math.lgamma(total - chosen + 1)

@@ -30,30 +30,14 @@ class FitFailureReason(Enum):
     FEW_MATCHES = "{value:.0f} matches, {needed:.0f} needed"
     FEW_PLACES = "the matches are at {value:.0f} different places, {needed:.0f} needed"
     ON_A_LINE = "the matches lie on one line"
-    NO_CONSENSUS = "no model fits more matches than chance ({value:.0f} of {needed:.0f})"
+    NO_CONSENSUS = (
+        "the images share no geometry that is better than chance: {value:.0f} of {total:.0f} "
+        "matches at different places fit, {needed:.0f} are needed"
+    )
     NO_MOTION = "the image does not move, so that there are no epipolar lines"
     PURE_ROTATION = "the camera only turns, so that there are no epipolar lines"
     PLANE_OR_ROTATION = "one plane, or a rotation, explains all matches; only a homography fits"
     NOT_IN_FRONT = "{value:.0f} of {needed:.0f} points are in front of both cameras, too few"
-
-
-class FitFailure(NamedTuple):
-    """Why matches gave no model, or no pose.
-
-    Attributes:
-        reason: what failed.
-        value: the number found, where the reason has one.
-        needed: the number that it is compared with.
-    """
-
-    reason: FitFailureReason
-    value: float = 0.0
-    needed: float = 0.0
-
-    @property
-    def text(self) -> str:
-        """The failure as text for people."""
-        return self.reason.value.format(value=self.value, needed=self.needed)
 
 
 class FitOptions(NamedTuple):
@@ -73,6 +57,19 @@ class FitOptions(NamedTuple):
     seed: int = 0
 
 
+class Evidence(NamedTuple):
+    """Inliers and matches, each counted once per place, and how many inliers are beyond chance."""
+
+    inliers: int
+    matches: int
+    needed: int
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether random matches would not give as many inliers."""
+        return self.inliers >= self.needed
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A model of two images.
@@ -86,6 +83,7 @@ class Fit:
         symmetric_px: median over the inliers of the root mean square over both images of the
             distance from the epipolar line, or from the transferred pixel.
         method: how it was found.
+        evidence: inliers compared with those of random matches.
     """
 
     kind: ModelKind
@@ -94,6 +92,30 @@ class Fit:
     error_px: Floats
     symmetric_px: float
     method: RobustMethod
+    evidence: Evidence
+
+
+class FitFailure(NamedTuple):
+    """Why matches gave no model, or no pose.
+
+    Attributes:
+        reason: what failed.
+        value: the number found, where the reason has one.
+        needed: the number that it is compared with.
+        total: of which `value` is a part.
+        refused: the model that is no better than chance.
+    """
+
+    reason: FitFailureReason
+    value: float = 0.0
+    needed: float = 0.0
+    total: float = 0.0
+    refused: Fit | None = None
+
+    @property
+    def text(self) -> str:
+        """The failure as text for people."""
+        return self.reason.value.format(value=self.value, needed=self.needed, total=self.total)
 
 
 @dataclass(frozen=True, eq=False)

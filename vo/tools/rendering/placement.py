@@ -18,6 +18,8 @@ _UP: dict[str, Floats] = {
     "-y": np.eye(3),
 }
 
+_Z_UP_FROM_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
 
 @dataclass(frozen=True, eq=False)
 class Placement:
@@ -27,11 +29,13 @@ class Placement:
         foot: (3,) middle of its underside in the world.
         size: its largest extent there, None for its own.
         up: axis of the model that points up: `y`, `z` or `-y`.
+        world_up: axis of the world that points up: `z` where gravity is known, else `-y`.
     """
 
     foot: Floats
     size: float | None = None
     up: str = "y"
+    world_up: str = "-y"
 
 
 def axes() -> Mesh:
@@ -50,11 +54,18 @@ def axes() -> Mesh:
     return Mesh(np.concatenate(vertices), np.array(triangles, np.int64), np.array(rgb, np.uint8))
 
 
-def placed(mesh: Mesh, placement: Placement) -> Floats:
-    """Vertices (V, 3) of a model in the world, whose y axis points down."""
+def standing(mesh: Mesh, placement: Placement) -> Floats:
+    """Vertices (V, 3) of a model on the origin, y down."""
     vertices = mesh.vertices @ _UP[placement.up].T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = float((high - low).max())
     factor = 1.0 if placement.size is None or extent == 0.0 else placement.size / extent
     foot = np.array([0.5 * (low[0] + high[0]), high[1], 0.5 * (low[2] + high[2])])
-    return np.asarray((vertices - foot) * factor + placement.foot)
+    return np.asarray((vertices - foot) * factor)
+
+
+def placed(vertices: Floats, placement: Placement) -> Floats:
+    """A standing model (V, 3) at its place in the world."""
+    if placement.world_up == "z":
+        vertices = vertices @ _Z_UP_FROM_Y_DOWN.T
+    return np.asarray(vertices + placement.foot)

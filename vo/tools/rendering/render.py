@@ -18,7 +18,7 @@ from vo.outputs.report.run_folder import RunRecord, read_run
 from vo.recordings.formats.mesh import Mesh, read_mesh
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
-from vo.tools.rendering.placement import Placement, axes, placed
+from vo.tools.rendering.placement import Placement, axes, placed, standing
 from vo.tools.rendering.rasterizer import draw, shading
 
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -98,7 +98,7 @@ def render(
     record = read_run(folder)
     poses = _poses(folder / "poses.csv")
     stream = _recording(record)
-    placement, segment = _placement(poses, options)
+    placement, segment = _placement(poses, options, record)
     frames = sorted(poses) if options.frame is None else [options.frame]
     if options.frame is not None and options.frame not in poses:
         raise ConfigError(f"frame {options.frame} has no pose in {folder}; choose another `frame`")
@@ -145,7 +145,9 @@ def _recording(record: RunRecord) -> Recording:
     )
 
 
-def _placement(poses: dict[int, _Pose], options: RenderOptions) -> tuple[Placement, int]:
+def _placement(
+    poses: dict[int, _Pose], options: RenderOptions, record: RunRecord
+) -> tuple[Placement, int]:
     """Where the model stands, and the segment whose world that is."""
     first = min(poses)
     frame, distance = options.in_front or (first, _DISTANCE_RATIO * _path_length(poses, first))
@@ -161,7 +163,9 @@ def _placement(poses: dict[int, _Pose], options: RenderOptions) -> tuple[Placeme
         foot = np.array(options.at)
         distance = float(np.linalg.norm(foot - world_from_cam[:3, 3])) or distance
     size = _SIZE_RATIO * distance if options.size is None else options.size
-    return Placement(foot, size, options.up), segment
+    inertial = record.summary.get("inertial") or {}
+    world_up = "z" if segment in inertial.get("metric_worlds", ()) else "-y"
+    return Placement(foot, size, options.up, world_up), segment
 
 
 def _path_length(poses: dict[int, _Pose], first: int) -> float:
@@ -177,8 +181,9 @@ class _Painter:
     def __init__(self, mesh: Mesh, placement: Placement, segment: int, camera: Camera) -> None:
         self.with_model = 0
         self._mesh, self._segment, self._camera = mesh, segment, camera
-        self._vertices = placed(mesh, placement)
-        self._shade = shading(self._vertices, mesh.triangles)
+        vertices = standing(mesh, placement)
+        self._vertices = placed(vertices, placement)
+        self._shade = shading(vertices, mesh.triangles)
 
     def images(
         self, stream: Recording, frames: Sequence[int], poses: dict[int, _Pose]
