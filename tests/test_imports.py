@@ -55,7 +55,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"learned"},
         {"mapping", "features", "markers"},
         {"places", "inertial"},
-        {"tracking", "backend", "refinement", "maps"},
+        {"tracking", "backend", "refinement", "maps", "verification"},
         {"trajectory"},
         {"inertial_path"},
         {"map_updater", "snapshot", "memory", "warmup"},

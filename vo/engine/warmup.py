@@ -35,6 +35,7 @@ _ROOMS_WITH_KERNELS = (
     "engine/mapping",
     "engine/places",
     "engine/tracking",
+    "engine/verification",
 )
 _SIZE = (240, 320)  # of the images, rows and columns
 _FOCAL_PX = 200.0
@@ -145,9 +146,9 @@ def _use_screening() -> None:
     """Call what only a recording with places that look alike needs, with any values."""
     from vo.engine.mapping.keyframe import FrameId
     from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
-    from vo.engine.places.screening import Screening
     from vo.engine.places.vocabulary import DESCRIPTOR_BYTES
     from vo.engine.places.vocabulary_file import built_in_vocabulary
+    from vo.engine.verification.screening import Screening
 
     random, count = np.random.default_rng(0), 20
     xyz = random.uniform((-1, -1, 4), (1, 1, 6), (count, 3)).astype(np.float32)

@@ -18,10 +18,10 @@ from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.maps.map_file import MapFile
 from vo.engine.memory.recognition import Recogniser
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.loop_verification import LoopVerifier
 from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
-from vo.engine.places.screening import Screening
 from vo.engine.places.vocabulary_file import built_in_vocabulary
+from vo.engine.verification.loop_verifier import LoopVerifier
+from vo.engine.verification.screening import Screening
 
 FIRST_ROUND, SECOND_ROUND = 115, 135  # its last frame, and the first one of the next round
 CORRIDOR = 8  # keyframes

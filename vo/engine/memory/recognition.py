@@ -19,8 +19,8 @@ from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
 
 if TYPE_CHECKING:  # imported only where there are candidates, or maps: it takes a few ms each
     from vo.engine.maps.loading import LoadedMap
-    from vo.engine.places.loop_verification import LoopVerifier
-    from vo.engine.places.screening import Screening
+    from vo.engine.verification.loop_verifier import LoopVerifier
+    from vo.engine.verification.screening import Screening
 
 T = TypeVar("T")
 
@@ -95,7 +95,7 @@ class Recogniser:
 
     def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:
         """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
-        from vo.engine.places.repair_check import unconfirmed_repairs
+        from vo.engine.verification.repair_check import unconfirmed_repairs
 
         return self._start(lambda: unconfirmed_repairs(self.database, self.camera, placed)).result()
 

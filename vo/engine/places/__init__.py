@@ -1,1 +1,1 @@
-"""Places: stored keyframes, recognition of places, and verification of loops."""
+"""Recognition of places: stored keyframes, and a database that finds similar ones by words."""

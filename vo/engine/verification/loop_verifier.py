@@ -11,8 +11,9 @@ import numpy as np
 
 from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
-from vo.engine.places.image_comparison import compare_images
-from vo.engine.places.landmark_search import (
+from vo.engine.places.records import Loop, Place
+from vo.engine.verification.image_comparison import compare_images
+from vo.engine.verification.landmark_search import (
     MAX_NEAR,
     FoundLandmarks,
     KeyframePair,
@@ -20,9 +21,13 @@ from vo.engine.places.landmark_search import (
     agreeing,
     keyframe_pair,
 )
-from vo.engine.places.merged_landmarks import in_view, merge_landmarks
-from vo.engine.places.records import Loop, Place
-from vo.engine.places.relation import LandmarkPairs, Relation, refine_relation, sample_relation
+from vo.engine.verification.merged_landmarks import in_view, merge_landmarks
+from vo.engine.verification.relation import (
+    LandmarkPairs,
+    Relation,
+    refine_relation,
+    sample_relation,
+)
 
 _MIN_LANDMARKS = 30
 _MIN_MATCHES = 15

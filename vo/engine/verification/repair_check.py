@@ -16,9 +16,9 @@ import numpy as np
 from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.image_comparison import compare_images
-from vo.engine.places.landmark_search import keyframe_pair
 from vo.engine.places.records import Place, PlacedKeyframes, PlaceKey
+from vo.engine.verification.image_comparison import compare_images
+from vo.engine.verification.landmark_search import keyframe_pair
 
 _BESIDE = 3  # keyframes that are compared on each side
 # Windows that are compared in all pairs, and ratio of those that may look different. Of motions
