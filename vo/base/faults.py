@@ -16,6 +16,7 @@ class FaultKind(StrEnum):
     LEFT_CAMERA_ALONE = "left_camera_alone"
     INTERLACED_IMAGES = "interlaced_images"
     BLURRED_IMAGES = "blurred_images"
+    FAINT_IMAGES = "faint_images"
     SMALL_IMAGES = "small_images"
     IMPLAUSIBLE_STEP = "implausible_step"
     RIGHT_TIME_OFFSET = "right_time_offset"

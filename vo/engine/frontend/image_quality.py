@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
-import numpy as np
-
 from vo.base.failures import Failure, FailureReason, ImageDefect
-from vo.base.geometry.quantiles import median, percentiles
+from vo.base.geometry.quantiles import percentiles
 from vo.base.types import Bytes
+from vo.engine.frontend.contrast import noise_level
 from vo.engine.frontend.image_faults import MAX_BLUR, SMALL_PIXELS, blur, share_of_combs
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 
@@ -69,14 +67,3 @@ def image_defect(image: Bytes) -> ImageDefect | None:
     if noise_level(image) > _NOISY:
         return ImageDefect.NOISY
     return ImageDefect.BLURRED if blur(image) > MAX_BLUR else None
-
-
-def noise_level(image: Bytes) -> float:
-    """Standard deviation of the noise of an (H, W) image in grey levels.
-
-    The median makes it robust to edges. Source: Immerkær, "Fast noise variance estimation", CVIU
-    1996 (the mask).
-    """
-    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-    response = np.abs(cv2.filter2D(image, cv2.CV_32F, mask))
-    return median(response[::_STEP, ::_STEP]) / (0.6745 * 6.0)

@@ -17,6 +17,7 @@ from vo.base.scheduling import give_way
 from vo.base.types import Bytes, Floats32, Frame, Keypoints
 from vo.engine.frontend.camera_alignment import half_size_pyramid
 from vo.engine.frontend.contracts import FeatureExtractor
+from vo.engine.frontend.contrast import ContrastCorrection
 from vo.engine.frontend.image_faults import ImageFaults, size_faults
 from vo.engine.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.engine.frontend.image_repetition import Repetition, RepetitionDetector
@@ -156,6 +157,7 @@ class FramePreprocessor:
         self._second = second
         self._repetition = RepetitionDetector()
         self._image_faults = ImageFaults()
+        self._contrast = ContrastCorrection()
         self._size_faults = size_faults(rig.width * rig.height)
         self._image_fixed = ImageFixedDetector(rig.fx * rig.baseline_m)
         self._recent = RecentFrames()
@@ -209,6 +211,8 @@ class FramePreprocessor:
                 *faults,
                 Fault(FaultKind.REPEATED_RIGHT_IMAGES, is_handled=True),
             )
+        frame = replace(frame, images=self._contrast.update(frame.images))
+        faults += self._contrast.faults
         recorded = RecordedFrame(frame, left_change.repetition, faults)
         image0 = self._rig.rectify(frame.image0, 0)
         pyramid = half_size_pyramid(image0)

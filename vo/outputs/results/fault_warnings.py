@@ -45,6 +45,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "images are blurred (blur {value:.2f} of 1; sharp ones are below 0.4), so that the path is "
         "inaccurate: {frames}; check the focus, use shorter exposure, or move slower",
     ),
+    FaultKind.FAINT_IMAGES: (
+        "edges in the images are only {value:.1f} times as strong as the noise: {frames}",
+        "edges in the images are only {value:.1f} times as strong as the noise (fog, a dirty or "
+        "fogged lens, or too little light?), so that the path is inaccurate: {frames}; clean the "
+        "lens, or give more light or a longer exposure",
+    ),
     FaultKind.SMALL_IMAGES: (
         "images have only {value:.0f} thousand pixels: {frames}",
         "images have only {value:.0f} thousand pixels ({frames}), so that a pixel is a large angle "
