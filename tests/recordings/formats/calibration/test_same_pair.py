@@ -1,4 +1,4 @@
-"""The same stereo pair in three formats."""
+"""The same stereo pair in three formats, and warnings for implausible intrinsics."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from calibration_files import (
     CAM1_FROM_CAM0,
     D0,
@@ -17,6 +18,7 @@ from calibration_files import (
     cam1_from_cam0,
     camera_info,
     flat_list,
+    read,
     rectification,
     write_file,
     write_storage,
@@ -61,3 +63,20 @@ def test_same_pair_in_three_formats(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             distort(rig.cam0, normalise(rig.cam0, expected[0])), expected[0], atol=1e-9
         )
+
+
+@pytest.mark.parametrize(
+    ("intrinsics", "expected"),
+    [
+        ("[500, 500, -20, 240]", "principal point (-20, 240) is outside the 640x480 image"),
+        ("[0.78, 0.79, 0.5, 0.5]", "field of view of 180 degrees; check the unit"),
+        ("[20000, 20000, 320, 240]", "field of view of 1.83 degrees"),
+        ("[500, 500, 320, 240]", ""),
+    ],
+)
+def test_warning_for_implausible_intrinsics(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, intrinsics: str, expected: str
+) -> None:
+    read(tmp_path, f"cam0: {{resolution: [640, 480], intrinsics: {intrinsics}}}")
+    assert expected in caplog.text
+    assert bool(caplog.records) == bool(expected)
