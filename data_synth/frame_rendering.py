@@ -10,7 +10,7 @@ import numpy as np
 
 from data_synth.plan import Plan
 from data_synth.records import Shot
-from data_synth.scene.bodies import with_bodies
+from data_synth.scene.builder import with_bodies
 from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import Shutter, moving_shutter, static_shutter
 from data_synth.scene.world import World

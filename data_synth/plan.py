@@ -8,8 +8,7 @@ import numpy as np
 
 from data_synth.cameras import load_rig
 from data_synth.motion.body_path import poses_at
-from data_synth.motion.imu import measure
-from data_synth.motion.imu_effects import with_effects
+from data_synth.motion.imu import measure, with_effects
 from data_synth.motion.motions import make_path, mount
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import Recipe

@@ -17,17 +17,13 @@ from typing import Any
 from benchmark_cases import CASES, Case, missed, suite_cases
 from benchmark_run import Result, measure_case
 from benchmark_table import document, generator_document, reading_document, suite_document
+from common import write_section, write_tum_calibration
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "experiments" / "benchmark-tables.md"
 FEATURES_PAGE = ROOT / "docs" / "experiments" / "features-compared.md"
 LEARNED_PAGE = ROOT / "docs" / "experiments" / "learned-features.md"
 FEATURES_PLOT = ROOT / "docs" / "images" / "features.png"
-TUM_CALIBRATION = """\
-cam0:
-  resolution: [640, 480]
-  intrinsics: [535.4, 539.2, 320.1, 247.6]
-"""
 
 
 def main() -> None:
@@ -37,15 +33,14 @@ def main() -> None:
         compileall.compile_dir(ROOT / package, quiet=1)
     with tempfile.TemporaryDirectory(prefix="vo-benchmark-") as name:
         work = Path(name)
-        options.calibration = work / "tum.yaml"
-        options.calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
+        options.calibration = write_tum_calibration(work)
         section, text, report = _section(options, work)
     print(text)
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.write:
         page = FEATURES_PAGE if options.features else LEARNED_PAGE if options.learned else PAGE
-        page.write_text(replaced(page.read_text("utf-8"), section, text), encoding="utf-8")
+        write_section(page, section, text)
         if options.features:
             from benchmark_features import plot_features
 
@@ -87,13 +82,6 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
     if options.synth:
         return "suite", suite_document(report, known), report
     return "recordings", document(report, known), report
-
-
-def replaced(page: str, section: str, text: str) -> str:
-    """The page with new text between the marks of a section."""
-    begin, end = f"<!-- {section}: begin -->", f"<!-- {section}: end -->"
-    before, rest = page.split(begin)
-    return f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}"
 
 
 def _options() -> argparse.Namespace:

@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from common import write_section
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe, recipe_folder
@@ -48,10 +49,7 @@ def main() -> int:
     table = "\n".join((*HEADING, *rows))
     print(table)
     if arguments.write:
-        text = PAGE.read_text("utf-8")
-        between = r"(<!-- inertial: begin -->\n\n).*?(<!-- inertial: end -->)"
-        new = re.sub(between, lambda m: f"{m[1]}{table}\n\n{m[2]}", text, flags=re.DOTALL)
-        PAGE.write_text(new, "utf-8")
+        write_section(PAGE, "inertial", table)
     return 0
 
 

@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from common import write_section
 from kills_checks import TABLES, Rest, check, processes_with
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -258,11 +259,7 @@ def _write(counts: dict[tuple[str, str], Count], disks: list[tuple[str, list[str
         bad = Counter(bool(problems) for _, problems in disks)
         names = ", ".join(name for name, _ in disks)
         lines += ["", f"Full disks ({names}): {len(disks)} runs, {bad[True]} with a problem."]
-    page = PAGE.read_text(encoding="utf-8")
-    begin, end = "<!-- kills: begin -->", "<!-- kills: end -->"
-    before, rest = page.split(begin)
-    text = "\n".join(lines)
-    PAGE.write_text(f"{before}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}", encoding="utf-8")
+    write_section(PAGE, "kills", "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from common import write_section
 
 from data_synth.cache import cached_sequence
 from data_synth.recipe import load_recipe, recipe_folder
@@ -337,8 +338,7 @@ def _write(row: list[str], columns: tuple[str, ...], section: str) -> None:
     numbers = len(columns) - _TEXT_COLUMNS
     rule = ["---"] * _TEXT_COLUMNS + ["---:"] * numbers
     lines = ["| " + " | ".join(each) + " |" for each in (columns, rule, *rows)]
-    table = "\n".join([begin, "", *lines, "", end])
-    PAGE.write_text(re.sub(f"{begin}.*?{end}", lambda _: table, text, flags=re.DOTALL))
+    write_section(PAGE, section, "\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from common import write_section
 from marker_views import Placed, developed, looking_at, random_background, render
 
 from vo.base.geometry.transforms import inverse, rotation_angle, se3_log
@@ -27,7 +28,6 @@ NAME, COUNT = "4X4_50", 50
 DISTANCES_M = (0.3, 0.5, 1.0, 2.0, 3.0, 5.0)
 FLIPPED_DEG = 10.0
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "experiments" / "marker-accuracy.md"
-BEGIN, END = "<!-- markers: begin -->\n", "<!-- markers: end -->"
 HEADING = """\
 | distance, m | corners | found | position, mm (median, 95 %) | angle, degrees (median, 95 %) | \
 flipped and told | ambiguous | NEES | CPU ms |
@@ -117,11 +117,7 @@ def main() -> None:
             lines.append(row(distance, kind, views))
             print(lines[-1], flush=True)
     if arguments.write:
-        text = PAGE.read_text(encoding="utf-8")
-        before, _, rest = text.partition(BEGIN)
-        after = rest.partition(END)[2]
-        table = "\n".join(lines)
-        PAGE.write_text(f"{before}{BEGIN}\n{table}\n\n{END}{after}", encoding="utf-8")
+        write_section(PAGE, "markers", "\n".join(lines))
 
 
 if __name__ == "__main__":

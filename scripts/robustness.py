@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
+from common import write_section, write_tum_calibration
 from robustness_cases import CLIPS, Case, cases
 from robustness_clips import Clip, Clips, true_poses, write_euroc
 from robustness_run import Outcome, max_ate_m, run
@@ -27,11 +28,6 @@ from vo.recordings.sources.registry import open_source
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "experiments" / "injected-faults.md"
 MODES = ("stereo", "mono")
-TUM_CALIBRATION = """\
-cam0:
-  resolution: [640, 480]
-  intrinsics: [535.4, 539.2, 320.1, 247.6]
-"""
 
 
 def main() -> None:
@@ -98,8 +94,7 @@ class _Bench:
 
 def _clean_rows(options: argparse.Namespace, work: Path) -> Iterator[CleanRow]:
     """Runs on recordings as they are: the real ones, then the synthetic suite."""
-    calibration = work / "tum.yaml"
-    calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
+    calibration = write_tum_calibration(work)
     for name, folder_of in _clean_recordings(options):
         for mode in MODES:
             title = f"clean, {name}, {mode}"
@@ -175,12 +170,7 @@ def _write(options: argparse.Namespace, rows: list[Row], clean: list[CleanRow]) 
         }
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.markdown == PAGE:
-        page = PAGE.read_text(encoding="utf-8")
-        begin, end = "<!-- table: begin -->", "<!-- table: end -->"
-        before, rest = page.split(begin)
-        made = _made_by(options)
-        text = f"{before}{begin}\n\n{made}\n\n{document(rows, clean)}\n\n{end}{rest.split(end)[1]}"
-        PAGE.write_text(text, encoding="utf-8")
+        write_section(PAGE, "table", f"{_made_by(options)}\n\n{document(rows, clean)}")
     elif options.markdown:
         options.markdown.write_text(document(rows, clean) + "\n", encoding="utf-8")
 

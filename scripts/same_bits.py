@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
+from common import write_tum_calibration
+
 ROOT = Path(__file__).resolve().parent.parent
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 PRESETS = ("default", "fast", "accurate")
@@ -30,11 +32,6 @@ QUICK = (
     ("rendered_hall_stereo", "mono", "accurate"),
     ("tum_fr3_cabinet_58_lowtexture", "mono", "default"),
 )
-TUM_CALIBRATION = """\
-cam0:
-  resolution: [640, 480]
-  intrinsics: [535.4, 539.2, 320.1, 247.6]
-"""
 
 
 @dataclass(frozen=True)
@@ -65,8 +62,7 @@ def main() -> None:
     options = _options()
     with tempfile.TemporaryDirectory(prefix="vo-same-bits-") as name:
         work = Path(name)
-        calibration = work / "tum.yaml"
-        calibration.write_text(TUM_CALIBRATION, encoding="utf-8")
+        calibration = write_tum_calibration(work)
         kept = options.keep or work / "old"
         cases = [case for case in _cases(options) if options.only in case.name]
         if not cases:

@@ -12,7 +12,7 @@ import numpy as np
 
 from data_synth.motion.limits import Carrier
 from data_synth.motion.motion_profile import MotionProfile
-from data_synth.motion.smoothing import wander
+from data_synth.motion.route import wander
 from data_synth.records import GRAVITY_M_S2
 from vo.base.types import Floats
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.motion.route import Route
-from data_synth.motion.smoothing import smoothed
+from data_synth.motion.route import Route, smoothed
 from data_synth.motion.speed_profile import Schedule
 from vo.base.types import Floats
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from data_synth.motion.carriers import CARRIERS, Handling
 from data_synth.motion.collisions import Clearance, Collision, find_collision
-from data_synth.motion.laps import route_of_laps
 from data_synth.motion.limits import (
     LIMITS,
     Carrier,
@@ -18,9 +17,14 @@ from data_synth.motion.limits import (
     polygon_length_m,
 )
 from data_synth.motion.motion_profile import MotionProfile, make_profile, stationary_profile
-from data_synth.motion.route import Route, make_route
-from data_synth.motion.schedules import drive_on, loop_in_time, stop_and_go
-from data_synth.motion.speed_profile import Schedule, make_speed_profile
+from data_synth.motion.route import Route, make_route, route_of_laps
+from data_synth.motion.speed_profile import (
+    Schedule,
+    drive_on,
+    loop_in_time,
+    make_speed_profile,
+    stop_and_go,
+)
 from data_synth.motion.spline import BODY_FROM_LOOKING_AHEAD, PosePath
 from data_synth.recipe import LapName, MotionName
 from data_synth.scene.scene import Course

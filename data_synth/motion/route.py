@@ -2,15 +2,115 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from data_synth.motion.smoothing import smoothed_closed
 from data_synth.motion.spline import bspline
+from data_synth.recipe import LapName
 from data_synth.scene.scene import Heights
 from vo.base.errors import ConfigError
 from vo.base.types import Floats
+
+
+def smoothed_closed(values: Floats, width: float) -> Floats:
+    """Smooth a closed series (M, C): three running means over a third of `width` rows each."""
+    box = max(1, round(width / 3.0)) | 1
+    for _ in range(3):
+        values = _averaged(values, box, "wrap")
+    return values
+
+
+def smoothed(values: Floats, width: float) -> Floats:
+    """Smooth an open series (N,) in the same way; its end values are repeated."""
+    box = max(1, round(width / 3.0)) | 1
+    for _ in range(3):
+        values = _averaged(values[:, None], box, "edge")[:, 0]
+    return values
+
+
+def wander(
+    rng: np.random.Generator,
+    times_s: Floats,
+    amplitude: float,
+    periods_s: tuple[float, float],
+    repeat_s: float | None = None,
+) -> Floats:
+    """A smooth random series (N,) within ±amplitude, of three waves.
+
+    `rng`: random numbers. `times_s`: (N,). `amplitude`: largest value. `repeat_s`: its period, or
+    None for an aperiodic series.
+    """
+    total = np.zeros(len(times_s))
+    for _ in range(3):
+        frequency = float(rng.uniform(1.0 / periods_s[1], 1.0 / periods_s[0]))
+        phase = float(rng.uniform(0.0, 2.0 * np.pi))
+        if repeat_s is not None:
+            frequency = max(1, round(frequency * repeat_s)) / repeat_s
+        total += np.sin(2.0 * np.pi * frequency * times_s + phase)
+    return np.asarray(amplitude / 3.0 * total)
+
+
+def _averaged(values: Floats, box: int, mode: str) -> Floats:
+    """Running mean of (M, C) over an odd number of rows, relative to the mean for precision."""
+    if box <= 1:
+        return values
+    middle = values.mean(axis=0)
+    reach = box // 2
+    index = np.arange(-reach - 1, len(values) + reach)
+    index = index % len(values) if mode == "wrap" else np.clip(index, 0, len(values) - 1)
+    sums = np.cumsum(values[index] - middle, axis=0)
+    return np.asarray(middle + (sums[box:] - sums[:-box]) / box)
+
+
+def route_of_laps(waypoints: Floats, laps: Sequence[LapName], aside_m: float) -> Floats:
+    """The corners (K, 2) of a closed route of several laps, each forward or in reverse.
+
+    Laps change their direction by a U-turn to the left in the middle of the first side, where the
+    route starts.
+
+    `waypoints`: (K, 2) corners of one lap. `laps`: directions, one after the other; none for one
+    forward lap. `aside_m`: distance of the laps in reverse from the forward ones, to the left of
+    these.
+    """
+    corners = np.asarray(waypoints, dtype=np.float64)
+    if not laps:
+        return corners
+    ahead = _directions(corners)[0]
+    left = aside_m * np.array([-ahead[1], ahead[0]])
+    middle, past = 0.5 * (corners[0] + corners[1]), 0.5 * aside_m * ahead
+    pieces: dict[LapName, Floats] = {
+        "forward": np.roll(corners, -1, axis=0),
+        "reverse": np.roll(_beside(corners, aside_m)[::-1], 1, axis=0),
+    }
+    u_turns: dict[LapName, Floats] = {
+        "forward": np.array([middle + past, middle + past + left]),
+        "reverse": np.array([middle - past + left, middle - past]),
+    }
+    parts = []
+    for lap, following in zip(laps, (*laps[1:], laps[0]), strict=True):
+        parts.append(pieces[lap])
+        if following != lap:
+            parts.append(u_turns[lap])
+    # A route starts between its first two corners.
+    return np.roll(np.concatenate(parts), 1, axis=0)
+
+
+def _directions(corners: Floats) -> Floats:
+    """Directions (K, 2) of the sides, each from a corner to the next."""
+    sides = np.roll(corners, -1, axis=0) - corners
+    return np.asarray(sides / np.linalg.norm(sides, axis=1, keepdims=True))
+
+
+def _beside(corners: Floats, left_m: float) -> Floats:
+    """The corners (K, 2) of a parallel route to the left."""
+    ahead = _directions(corners)
+    after = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    before = np.roll(after, 1, axis=0)
+    along = 1.0 + (before * after).sum(axis=1, keepdims=True)
+    return np.asarray(corners + left_m * (before + after) / along)
+
 
 _STEP_M = 0.03
 _MAX_STEPS = 40_000

@@ -7,17 +7,107 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_synth.scene.atlas import Atlas, pack
 from data_synth.scene.height_field import (
     STAIN_PER_TEXEL,
     HeightField,
     heights_at,
     make_height_field,
 )
-from data_synth.scene.noise import soft_noise
 from data_synth.scene.solids import Ground, Kind, Solid
-from data_synth.scene.tree import Tree, build_tree
-from vo.base.types import Bools, Floats, Floats32, Ints
+from vo.base.types import Bools, Bytes, Floats, Floats32, Ints
+
+
+def soft_noise(side: int, slope: float, seed: int) -> Floats32:
+    """Noise (side, side) with amplitude ~ 1/f^slope, about 0.5, in 0…1; periodic."""
+    white = np.random.default_rng([seed, 50]).standard_normal((side, side), dtype=np.float32)
+    fv, fu = np.fft.fftfreq(side)[:, None], np.fft.rfftfreq(side)[None, :]
+    frequency = np.hypot(fv, fu)
+    frequency[0, 0] = np.inf
+    grains = np.fft.irfft2(np.fft.rfft2(white) * frequency**-slope, s=(side, side))
+    return np.asarray(np.clip(0.5 + 0.2 * grains / grains.std(), 0.0, 1.0), dtype=np.float32)
+
+
+LEVELS = 11
+
+
+class Atlas(NamedTuple):
+    """Mip-mapped textures; sides are powers of two, so that wrapping around is a bit mask."""
+
+    texels: Bytes  # (T,) uint8, all levels of all textures row by row
+    levels: Ints  # (N, LEVELS, 3) start, height and width of each level
+
+
+def pack(textures: Sequence[Floats32]) -> Atlas:
+    """Pack textures with LEVELS mip-maps each, every one the 2x2 mean of the one before."""
+    parts: list[Bytes] = []
+    levels = np.zeros((len(textures), LEVELS, 3), np.int64)
+    total = 0
+    for i, texture in enumerate(textures):
+        level_image = texture
+        for level in range(LEVELS):
+            levels[i, level] = total, *level_image.shape
+            parts.append(np.round(level_image * 255.0).astype(np.uint8).ravel())
+            total += level_image.size
+            level_image = _halved(level_image)
+    return Atlas(np.concatenate(parts), levels)
+
+
+def _halved(image: Floats32) -> Floats32:
+    rows, columns = (2 if n > 1 else 1 for n in image.shape)
+    shaped = image.reshape(image.shape[0] // rows, rows, image.shape[1] // columns, columns)
+    return np.asarray(shaped.mean(axis=(1, 3)), dtype=np.float32)
+
+
+class Tree(NamedTuple):
+    """Nodes in depth-first order."""
+
+    bounds: Floats  # (M, 6) lower then upper corners
+    skip: Ints  # (M,) the next node if the ray misses this one
+    solid: Ints  # (M,) the solid of a leaf, -1 for inner nodes
+
+
+def build_tree(bounds: Floats) -> Tree:
+    """Build the tree of solids with bounds (N, 6); traversal is in order, without a stack."""
+    nodes: list[Floats] = []
+    leaf: list[int] = []
+    pending = [np.arange(len(bounds))] if len(bounds) else []
+    while pending:
+        members = pending.pop()
+        lower, upper = bounds[members, :3].min(axis=0), bounds[members, 3:].max(axis=0)
+        nodes.append(np.concatenate([lower, upper]))
+        leaf.append(int(members[0]) if len(members) == 1 else -1)
+        if len(members) > 1:
+            pending.extend(reversed(_split(bounds, members)))
+    skip = np.arange(1, len(nodes) + 1)
+    for node in range(len(nodes) - 1, -1, -1):
+        if leaf[node] < 0:
+            skip[node] = skip[skip[node + 1]]  # behind its first child, then behind its second
+    return Tree(np.array(nodes).reshape(-1, 6), skip, np.array(leaf, dtype=np.int64))
+
+
+def _split(bounds: Floats, members: Ints) -> tuple[Ints, Ints]:
+    """Split by the surface area heuristic (MacDonald and Booth 1990), along any axis."""
+    best, halves = np.inf, (members[:1], members[1:])
+    counts = np.arange(1, len(members))
+    for axis in range(3):
+        middles = bounds[members, axis] + bounds[members, axis + 3]
+        order = members[np.argsort(middles, kind="stable")]
+        before = _growing_areas(bounds[order])[:-1]
+        after = _growing_areas(bounds[order[::-1]])[:-1][::-1]
+        costs = before * counts + after * counts[::-1]
+        at = int(np.argmin(costs))
+        if costs[at] < best:
+            best, halves = float(costs[at]), (order[: at + 1], order[at + 1 :])
+    return halves
+
+
+def _growing_areas(bounds: Floats) -> Floats:
+    """Half the surface area of the bounds of the first 1, 2, … boxes."""
+    lower = np.minimum.accumulate(bounds[:, :3])
+    upper = np.maximum.accumulate(bounds[:, 3:])
+    x, y, z = (upper - lower).T
+    return np.asarray(x * y + y * z + z * x)
+
 
 _STAIN_TEXELS_PER_M = 12.0
 _STAIN_SIDE = 512

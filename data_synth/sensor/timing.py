@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_synth.recipe import Effects
-from data_synth.sensor.illumination import dark_intervals, drifting_light
+from data_synth.sensor.exposure import dark_intervals, drifting_light
 from vo.base.types import Bools, Floats, Ints
 
 _JITTER_NS = 0.5e6

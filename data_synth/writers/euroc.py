@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from data_synth.records import BODY, Imu, Recording, Shot
-from data_synth.writers.image_files import SUFFIXES, write_images
+from data_synth.writers.encoding import SUFFIXES, write_images
 from data_synth.writers.tables import (
     write_imu,
     write_lines,

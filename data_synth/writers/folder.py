@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from data_synth.records import Recording, Shot
-from data_synth.writers.image_files import SUFFIXES, write_images
+from data_synth.writers.encoding import SUFFIXES, write_images
 from data_synth.writers.tables import (
     seconds_text,
     write_lines,

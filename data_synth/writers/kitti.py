@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data_synth.records import MoverTruth, Recording, Shot
-from data_synth.writers.image_files import SUFFIXES, write_images
+from data_synth.writers.encoding import SUFFIXES, write_images
 from data_synth.writers.limits import check_kitti
 from data_synth.writers.tables import seconds_text, write_lines, write_movers
 from vo.base.geometry.transforms import inverse

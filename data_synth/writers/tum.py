@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from data_synth.records import Imu, Recording, Shot
-from data_synth.writers.image_files import SUFFIXES, tum_depth_png, write_images
+from data_synth.writers.encoding import SUFFIXES, tum_depth_png, write_images
 from data_synth.writers.limits import check_tum
 from data_synth.writers.tables import (
     numbers_text,

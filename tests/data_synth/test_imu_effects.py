@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from recordings import make_recording, make_shots
 
-from data_synth.motion.imu_effects import with_effects
+from data_synth.motion.imu import with_effects
 from data_synth.recipe import ImuRecipe
 from data_synth.records import GRAVITY_M_S2, Imu
 from vo.base.geometry.transforms import rotation_angle

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from motion_courses import COURSES, walls
 
-from data_synth.motion.laps import route_of_laps
 from data_synth.motion.limits import BOUNDS
 from data_synth.motion.motions import make_path
+from data_synth.motion.route import route_of_laps
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import LapName
 from vo.base.errors import ConfigError

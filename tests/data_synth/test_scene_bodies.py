@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scene_views import CAMERA, WALL, WHITE, bright_world, gliding, looking_along_x
 
-from data_synth.scene.bodies import with_bodies
+from data_synth.scene.builder import with_bodies
 from data_synth.scene.lighting import bake_lighting
 from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import moving_shutter, static_shutter

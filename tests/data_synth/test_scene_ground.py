@@ -6,11 +6,10 @@ import numpy as np
 from scene_views import ALONG_X, CAMERA, WHITE, bright_world, points_seen
 
 from data_synth.scene.height_field import heights_at
-from data_synth.scene.noise import soft_noise
 from data_synth.scene.render import camera_rays, render
 from data_synth.scene.shutter import static_shutter
 from data_synth.scene.solids import Ground
-from data_synth.scene.world import clearance
+from data_synth.scene.world import clearance, soft_noise
 from vo.base.geometry.transforms import make_transform
 
 RAYS = camera_rays(CAMERA)

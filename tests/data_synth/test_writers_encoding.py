@@ -10,8 +10,13 @@ import numpy as np
 import pytest
 
 from data_synth.records import Shot
-from data_synth.writers.encoding import FRAMES_AHEAD, encode, encoded_shots
-from data_synth.writers.image_files import float_tiff, tum_depth_png
+from data_synth.writers.encoding import (
+    FRAMES_AHEAD,
+    encode,
+    encoded_shots,
+    float_tiff,
+    tum_depth_png,
+)
 
 
 def _shots(count: int, taken: list[int]) -> Iterator[Shot]:

@@ -7,10 +7,9 @@ from numpy.typing import NDArray
 
 from data_synth.scene.kernels.beams import make_tile
 from data_synth.scene.kernels.blur import blur_tile
-from data_synth.scene.kernels.camera import POSE_SIZE, pose_at, store_pose
+from data_synth.scene.kernels.camera import POSE_SIZE, exposure_sweep, pose_at, store_pose
 from data_synth.scene.kernels.culling import cull_again, cull_solids, empty_list
 from data_synth.scene.kernels.decorators import entry_point, inlined
-from data_synth.scene.kernels.motion import exposure_sweep
 from data_synth.scene.kernels.packets import PACKET_SIZE
 from data_synth.scene.kernels.records import (
     CULL_TILE,

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.scene.kernels.camera import load_pose
+from data_synth.scene.kernels.camera import load_pose, pixel_motion
 from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.edges import count_index
-from data_synth.scene.kernels.motion import pixel_motion
 from data_synth.scene.kernels.records import (
     FILTER_REUSE,
     NOTHING,

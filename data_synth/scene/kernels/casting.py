@@ -25,7 +25,7 @@ from data_synth.scene.kernels.records import (
     View,
 )
 from data_synth.scene.kernels.shading import choose_filter, has_uniform_filter, surface_radiance
-from data_synth.scene.kernels.texture_filter import NO_FILTER
+from data_synth.scene.kernels.textures import NO_FILTER
 from data_synth.scene.kernels.vectors import rotate
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World

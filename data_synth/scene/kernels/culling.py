@@ -11,7 +11,7 @@ import numpy as np
 from data_synth.scene.kernels.beams import box_entry_bound, entry_bound, tile_beam
 from data_synth.scene.kernels.camera import pose_at
 from data_synth.scene.kernels.decorators import entry_point, inlined
-from data_synth.scene.kernels.ground_bounds import descent_end, ground_entry_bound
+from data_synth.scene.kernels.ground import descent_end, ground_entry_bound
 from data_synth.scene.kernels.records import Beam, SolidList, Tile
 from data_synth.scene.kernels.vectors import add_scaled, maximum, minimum, subtract
 from data_synth.scene.shutter import Shutter

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from data_synth.scene.kernels.camera import exposure_sweep, pixel_motion
 from data_synth.scene.kernels.decorators import entry_point, inlined
 from data_synth.scene.kernels.frames import ground_number
-from data_synth.scene.kernels.motion import exposure_sweep, pixel_motion
 from data_synth.scene.kernels.records import Pair, View, index
 from data_synth.scene.shutter import Shutter
 from data_synth.scene.world import World

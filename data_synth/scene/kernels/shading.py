@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.differentials import (
     flat_differentials,
@@ -10,27 +12,111 @@ from data_synth.scene.kernels.differentials import (
     round_differentials,
 )
 from data_synth.scene.kernels.frames import (
+    cube_face,
     ground_number,
     outward_normal,
     part_of_face,
     to_local,
     to_local_point,
+    to_world,
     undo_motion,
 )
-from data_synth.scene.kernels.ground import ground_normal
-from data_synth.scene.kernels.lights import light_on_ground, light_on_solid
-from data_synth.scene.kernels.records import ROUND, SIDE, SKY, Filter, Vector, index
-from data_synth.scene.kernels.sky import sky_radiance
-from data_synth.scene.kernels.texture_filter import NO_FILTER, footprint_filter
+from data_synth.scene.kernels.ground import grid_position, ground_normal, interpolate
+from data_synth.scene.kernels.records import ROUND, SIDE, SKY, ZERO, Filter, Vector, index
 from data_synth.scene.kernels.textures import (
+    NO_FILTER,
     cylinder_coordinates,
     face_coordinates,
     filtered_stain,
+    footprint_filter,
     sample_filtered,
+    sample_stain,
     surface_texture,
 )
 from data_synth.scene.kernels.vectors import add_scaled, dominant_axis
 from data_synth.scene.world import World
+
+_CLOUD_TEXELS = 22.5  # of level 2 of the stain, per unit of slope overhead
+
+
+@inlined
+def sky_radiance(world: World, ray: Vector) -> float:
+    """Radiance of the sky along a ray: paler at the horizon, with soft clouds.
+
+    Clouds are the stain texture, projected onto a plane above and bent down to the horizon.
+    """
+    flat = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
+    slope = ray[2] / max(flat, 1e-9)
+    radiance = world.sources.sky
+    pale = 0.3 + 0.7 * radiance
+    if slope <= 0.0:
+        return pale
+    # rise is the sine of the elevation; (1 - rise)^4 is 1 at the horizon and soon negligible.
+    rise = slope / np.sqrt(1.0 + slope * slope)
+    mist = (1.0 - rise) ** 4
+    spread = _CLOUD_TEXELS / (ray[2] + 0.25 * flat)
+    value = sample_stain(world, 2, spread * ray[0], spread * ray[1])
+    cloud = min(max(2.5 * (value - 0.5), 0.0), 1.0)
+    clear = radiance + (0.97 - radiance) * cloud
+    return float(clear + (pale - clear) * mist)
+
+
+@inlined
+def light_on_solid(world: World, solid: int, part: int, normal: Vector, hit: Vector) -> float:
+    """Light at a point of a solid: bilinear from the baked grids, or that of a mover.
+
+    Curved surfaces are projected onto the cube about them, from the middle or the axis.
+    """
+    mover = solid - len(world.bounds)
+    if mover >= 0:
+        return light_on_mover(world, mover, to_world(world, solid, normal))
+    shape = world.shapes[index(solid)]
+    p = (hit[0] * shape[8], hit[1] * shape[9], hit[2] * shape[10])
+    axis = part
+    if part == SIDE:
+        axis = dominant_axis((p[0], p[1], 0.0))
+        scale = 1.0 / abs(p[axis])
+        p = (p[0] * scale, p[1] * scale, p[2])
+    elif part == ROUND:
+        axis = dominant_axis(p)
+        p = add_scaled(ZERO, p, 1.0 / abs(p[axis]))
+    first, second = 1 if axis == 0 else 0, 1 if axis == 2 else 2
+    return baked_light(world, solid, cube_face(axis, p), p[first], p[second])
+
+
+@inlined
+def baked_light(world: World, solid: int, face: int, right: float, up: float) -> float:
+    """Light at a point of a face, with coordinates -1…1 along its two axes."""
+    grids, values = world.lights.grids, world.lights.values
+    rows, columns = grids[index(solid), index(face), 1], grids[index(solid), index(face), 2]
+    right, up = (0.5 + 0.5 * right) * (columns - 1), (0.5 + 0.5 * up) * (rows - 1)
+    j = min(max(int(right), 0), columns - 2)
+    i = min(max(int(up), 0), rows - 2)
+    # The mean of several hits may lie slightly off the face.
+    fu, fv = min(max(right - j, 0.0), 1.0), min(max(up - i, 0.0), 1.0)
+    at = grids[index(solid), index(face), 0] + i * columns + j
+    return float(
+        (1.0 - fv) * ((1.0 - fu) * values[index(at)] + fu * values[index(at + 1)])
+        + fv * ((1.0 - fu) * values[index(at + columns)] + fu * values[index(at + columns + 1)])
+    )
+
+
+@inlined
+def light_on_mover(world: World, mover: int, normal: Vector) -> float:
+    """Light on a moving solid: one directional light, and an ambient one, stronger from above.
+
+    Nothing is baked for movers; `baking.light_movers` sets their `lights` in every frame.
+    """
+    light = world.movers.lights[mover]
+    facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
+    return float(max(facing, 0.0) + light[3] * (0.8 + 0.2 * normal[2]))
+
+
+@inlined
+def light_on_ground(world: World, x: float, y: float) -> float:
+    """Light at a point of the ground."""
+    light = world.height_field.light
+    return interpolate(light, grid_position(world, x, y, world.height_field.finer, light))
 
 
 @inlined

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_synth.scene.kernels.camera import load_pose, pixel_ray, pose_at
+from data_synth.scene.kernels.camera import load_pose, pixel_ray, pose_at, surface_motion
 from data_synth.scene.kernels.decorators import inlined
 from data_synth.scene.kernels.frames import ground_number
 from data_synth.scene.kernels.ground import follow_ground, intersect_ground
-from data_synth.scene.kernels.motion import surface_motion
 from data_synth.scene.kernels.packets import intersect_solids, nearest_hit, set_ray
 from data_synth.scene.kernels.records import (
     EDGE,
