@@ -44,9 +44,6 @@ class BorderedSystem:
     def solve(self, damping: float) -> tuple[Floats, Floats, Floats]:
         """Eliminate the states one by one.
 
-        Args:
-            damping: added to the diagonal, relative to it.
-
         Returns:
             (N, S) steps of the states, (C,) step of the common unknowns, and the (C, C) information
             of the common unknowns.

@@ -35,10 +35,6 @@ class CalibrationResult:
     """A calibrated rig.
 
     Attributes:
-        board: the board.
-        detected: the views of the board.
-        size: width and height of the images.
-        rig: the cameras.
         fit: the views, corners, residuals and standard deviations.
         compared_rms_px: RMS error of each compared lens model by name, for each camera.
         epipolar_px: frame number and RMS distance from epipolar lines, with two cameras.

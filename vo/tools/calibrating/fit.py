@@ -42,10 +42,8 @@ class Fit:
     """A calibration and the observations behind it.
 
     Attributes:
-        lenses: lens model of each camera.
         observations: the observations used; their views are numbered as the poses.
         frames: frame number of each view.
-        adjustment: result of the bundle adjustment.
         dropped: frame numbers of outlier views, with their errors in pixels.
         dropped_corners: number of single outlier corners.
     """

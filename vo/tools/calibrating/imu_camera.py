@@ -55,7 +55,6 @@ class ImuOnCamera:
         gyro_bias: (3,) rad/s.
         accel_bias: (3,) m/s².
         misfit: residuals relative to the given noise; about 1.
-        views: number of images.
         seconds: time from the first to the last.
         corner_rms_px: error of corners of the board in the images.
     """

@@ -42,7 +42,6 @@ class Common(NamedTuple):
     Attributes:
         rotation: (3, 3) cam_from_imu.
         translation: (3,) of it.
-        offset_s: time offset.
         gyro_bias: (3,).
         accel_bias: (3,).
         up: (3, 3) rotation that takes z to up in the frame of the board.

@@ -51,8 +51,6 @@ class ImuNoiseResult:
         accel: of the accelerometer, in m/s².
         rate_hz: samples per second.
         start_s: start of the part at rest, from the first sample.
-        rest_s: its length.
-        recorded_s: length of the recording.
     """
 
     gyro: SensorNoise

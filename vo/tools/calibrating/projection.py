@@ -14,9 +14,7 @@ class LensModel(NamedTuple):
     """A lens model that can be calibrated.
 
     Attributes:
-        name: name on the command line and in reports.
         distortion_model: the same of `Camera`.
-        coefficients: number of distortion coefficients.
     """
 
     name: str

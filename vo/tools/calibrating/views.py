@@ -32,7 +32,6 @@ class View:
 
     Attributes:
         frame: frame number in the recording.
-        stamp_ns: its stamp.
         detections: the board in camera 0 and camera 1; None where it is not found.
     """
 

@@ -33,13 +33,7 @@ _SEVERITY: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
 
 
 def with_findings(report: Report, opened: OpenedRecording, imu_warnings: Sequence[str]) -> Report:
-    """Add the findings, the most serious first, and the command to try.
-
-    Args:
-        report: the report without findings.
-        opened: the recording.
-        imu_warnings: warnings logged while inertial sensors were read.
-    """
+    """Add the findings, the most serious first, and the command to try."""
     findings = [*_refusal_finding(opened)]
     for camera in report.cameras:
         findings += [*_timing_findings(camera), *_image_findings(camera)]

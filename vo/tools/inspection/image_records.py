@@ -12,9 +12,6 @@ class Gap:
     """A gap in the images of a camera.
 
     Attributes:
-        after_frame: number of the last image before the gap.
-        at_s: time of that image since the first one.
-        seconds: length of the gap.
         missing: approximate number of missing images.
     """
 
@@ -29,8 +26,6 @@ class Timing:
     """Statistics of the stamps of a camera.
 
     Attributes:
-        count: number of images.
-        first_ns: stamp of the first image.
         span_s: time from the first to the last image.
         rate_hz: from the median interval; 0 with fewer than two images.
         jitter_ms: 95th percentile of deviations from the median interval, without gaps.
@@ -76,12 +71,9 @@ class CameraReport:
 
     Attributes:
         name: `cam0`, `cam1` or a topic.
-        timing: statistics of all stamps.
         width: width of the first readable image in pixels; 0 without one.
         height: height of the same.
         bits: bits per pixel, 8 or 16.
-        has_colour: whether the first readable image is in colour.
-        looks: statistics of the checked images.
         unreadable: frame numbers of unreadable images among the checked ones.
         other_sizes: frame numbers of images of other sizes.
     """
@@ -102,9 +94,6 @@ class PairReport:
     """Pairing of left and right images by stamp.
 
     Attributes:
-        pairs: number of pairs.
-        left_alone: number of left images without a right one.
-        right_alone: number of right images without a left one.
         offset_ms: median of right stamp minus left stamp.
         offsets_ms: smallest and largest offset.
         histogram: number of pairs by offset in milliseconds (lower edge of the bin).
@@ -125,9 +114,6 @@ class StereoReport:
     """Comparison of left and right images.
 
     Attributes:
-        rectified: whether images were rectified before the comparison.
-        pairs: number of image pairs.
-        matches: number of points matched in both images.
         row_offset_px: mean of row in the right image minus row in the left one.
         row_spread_px: standard deviation of the same.
         positive: fraction of points with positive disparity, as expected.

@@ -60,11 +60,6 @@ def check_images(
 ) -> tuple[list[ImageStatistics], tuple[int, int], list[int]]:
     """Check evenly spaced images of a recording, each compared with the previous one.
 
-    Args:
-        reader: reader of the images.
-        count: number of images.
-        wanted: number of images to check.
-
     Returns:
         Statistics of the checked images, width and height of the first one, and the numbers of
         images of other sizes.

@@ -103,12 +103,7 @@ def _clock_ahead_s(stamps_ns: Ints, image_stamps_ns: Ints) -> float | None:
 
 
 def saturated(values: Floats, least: float) -> float:
-    """Fraction of samples (N, 3) that stay at the same largest value of an axis.
-
-    Args:
-        values: the samples.
-        least: lowest end of a sensor's range.
-    """
+    """Fraction of samples (N, 3) that stay at the same largest value of an axis."""
     if not len(values):
         return 0.0
     clipped = np.zeros(len(values), dtype=bool)

@@ -36,7 +36,6 @@ class ImageSequence:
 
     Attributes:
         name: `cam0`, `cam1` or a topic.
-        shots: the images.
         repeated_stamps: number of images left out because of a repeated stamp.
     """
 
@@ -57,22 +56,15 @@ class OpenedRecording:
     """A recording as far as it could be opened.
 
     Attributes:
-        path: path of the recording, as given.
-        format: name of the format in the registry.
         cameras: left and right camera, or all candidates.
         roles_known: whether these are left and right.
-        topics: readable topics of a log.
-        unread: other topics of a log.
-        imus: inertial sensors, the one to use first.
         source: the source as `vo run` opens it; None if it refuses.
         rig: the calibration, even if `vo run` refuses for another reason; None if unknown.
         calibration: file and format of the calibration; empty if it is not a file.
         truth: ground truth poses of cam0; of a log without images, its poses as logged.
         pose_names: topics with poses of a log, and pairs of frames that move.
         refusal: the error message of `vo run`; empty if there is none.
-        warnings: warnings logged while the recording was opened.
         options: the options that chose how it is read, as words of a command.
-        close: closes the files used by images.
     """
 
     path: Path

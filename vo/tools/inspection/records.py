@@ -17,9 +17,7 @@ class TopicReport:
 
     Attributes:
         name: name, such as `/cam0/image_raw`.
-        schema: name of the stored message type.
         kind: type of message in `vo`; empty if it is not read.
-        count: number of messages.
         rate_hz: messages per second; 0 if unknown.
         is_read: whether `vo` reads messages of this type.
     """
@@ -44,7 +42,6 @@ class LensReport:
         fy: focal length in pixels, along v.
         cx: principal point, u.
         cy: principal point, v.
-        model: distortion model.
         readout_s: time from the first to the last row of an image; 0 for a global shutter.
         view_deg: horizontal and vertical field of view; None outside the range of the lens model.
     """
@@ -66,7 +63,6 @@ class CalibrationReport:
     """Calibration of all cameras.
 
     Attributes:
-        lenses: one per camera.
         baseline_m: distance between the cameras; None with one camera.
         is_rectified: whether the images are rectified already; None with one camera.
         cam1_is: where cam1 is, seen from cam0: right, below, left, above, in front or behind; None
@@ -88,10 +84,8 @@ class TruthReport:
     """Ground truth poses.
 
     Attributes:
-        poses: number of poses.
         span_s: time from the first to the last.
         rate_hz: from the median interval.
-        path_m: length of the path.
         covered: fraction of the left images between the first and the last pose in time; None
             without images.
     """
@@ -108,7 +102,6 @@ class ImuMotionReport:
     """Rotation of the images compared with the gyroscope.
 
     Attributes:
-        compared: number of pairs of images.
         fits: whether both measure the same rotation.
         time_offset_ms: what to add to the stamp of an image to get the same moment on the clock of
             the sensor; None if they do not fit.
@@ -139,14 +132,10 @@ class ImuReport:
     """An inertial sensor; figures of values are those of the checked samples.
 
     Attributes:
-        name: topic, table or folder.
-        count: number of samples.
-        first_ns: stamp of the first sample.
         span_s: time from the first to the last sample.
         rate_hz: from the median interval.
         gaps: number of intervals longer than 2.5 times the median.
         longest_gap_s: longest of them; 0 without gaps.
-        looked_at: number of checked samples.
         unreadable: number of damaged or non-finite ones among them.
         accel_m_s2: mean norm of the specific force; about 9.81.
         gyro_rad_s: median norm of the angular rate.
@@ -188,8 +177,6 @@ class Finding:
     """A problem or remark.
 
     Attributes:
-        level: severity.
-        what: the observation.
         advice: what to do about it; may be empty.
     """
 
@@ -203,10 +190,7 @@ class Report:
     """Results of an inspection.
 
     Attributes:
-        path: path of the recording, as given.
-        format: name of the format in the registry.
         topics: topics of a log, those that are read first.
-        imu: inertial sensors, the one to use first.
         cameras: left and right camera, or all candidates.
         pair: pairing of left and right images; None without a pair.
         calibration: the calibration, if there is one.

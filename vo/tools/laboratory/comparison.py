@@ -45,8 +45,6 @@ class PairScore(NamedTuple):
     """What a method reached on a pair.
 
     Attributes:
-        features: in the first image.
-        matches: number of matches.
         correct: matches that agree with the true motion.
         inliers: matches that agree with the estimated one.
         rotation_deg: error of the estimated rotation, 180 if there is none.
@@ -77,11 +75,7 @@ class Comparison:
     """Scores of a method over the pairs of a gap: means of counts and times, medians of errors.
 
     Attributes:
-        method: name of the method.
         gap: frames between the images.
-        pairs: number of pairs.
-        features: per image.
-        matches: per pair.
         matching_score: ratio of features that were matched correctly.
         precision: ratio of matches that are correct.
         inlier_ratio: ratio of matches that agree with the estimated motion.

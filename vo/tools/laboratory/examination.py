@@ -21,12 +21,9 @@ class FeatureReport:
     """Features of one image.
 
     Attributes:
-        method: name of the method.
-        count: number of features.
         by_octave: number of features by octave, from 0.
         spread: ratio of cells with a feature, of square cells, 16 across the image.
         response: weakest and strongest response; None without features.
-        descriptor: layout of the descriptors; empty without.
         ms: CPU time of detection and description in one thread.
     """
 

@@ -33,9 +33,7 @@ class PlaneScore(NamedTuple):
     """What a method reached on two images of a plane.
 
     Attributes:
-        method: name of the method.
         features: in the first and in the second image.
-        matches: number of matches.
         repeatability: ratio of features that are found again.
         matching_score: correct matches by features of the common part, of the image with fewer.
         precision: ratio of matches that are correct.

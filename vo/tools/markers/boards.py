@@ -30,14 +30,7 @@ class MarkerBoard(Protocol):
 
 
 class GridBoard(NamedTuple):
-    """Markers 0, 1, 2, ... in rows from the top left, with gaps between them.
-
-    Attributes:
-        columns: markers in a row.
-        rows: markers in a column.
-        length_m: side of a marker.
-        gap_m: between neighbours.
-    """
+    """Markers 0, 1, 2, ... in rows from the top left, with gaps between them."""
 
     columns: int
     rows: int

@@ -36,8 +36,6 @@ class KnownMarker(NamedTuple):
     """A marker of a map.
 
     Attributes:
-        id: its number.
-        length_m: side of its black square.
         map_from_marker: (4, 4), in metres.
         sigma_m: standard deviation of its position along each axis.
     """
@@ -53,9 +51,7 @@ class MarkerMap:
     """Markers whose poses are known.
 
     Attributes:
-        name: of the file, for messages.
         dictionary: as for `vo markers`, `auto` if the file does not name it.
-        markers: by their numbers.
     """
 
     name: str

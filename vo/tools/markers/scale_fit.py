@@ -19,16 +19,12 @@ class PlacedMarker(NamedTuple):
     """A marker in a world.
 
     Attributes:
-        id: its number.
         world_from_marker: (4, 4), in metres.
         sigma_m: standard deviation of the position, all axes together, given the path.
-        views: their number.
         first_frame: number of the first frame that shows it.
-        last_frame: number of the last one.
         error: RMS distance of its corners from where they are predicted, in units of their
             standard deviation.
         sigma_rad: standard deviation of the rotation, all axes together, given the path.
-        length_m: side of the marker.
     """
 
     id: int

@@ -55,7 +55,6 @@ class NewWorlds(NamedTuple):
 
     Attributes:
         poses: (4, 4) new_from_world by number of the world, in metres.
-        frames: what they are.
         notes: sentences for the user, why others have none.
     """
 

@@ -54,11 +54,7 @@ class IndexedFeatures(NamedTuple):
 
 
 class CandidateIndex:
-    """Features of many parts.
-
-    Args:
-        parts: features of each.
-    """
+    """Features of many parts."""
 
     def __init__(self, parts: Sequence[IndexedFeatures]) -> None:
         self._parts = len(parts)
@@ -81,12 +77,7 @@ class CandidateIndex:
         self._begin = np.stack([np.concatenate([[0], np.cumsum(each)]) for each in counted])
 
     def candidates(self, scene: IndexedFeatures, pool: Executor) -> list[int]:
-        """Numbers of the parts that a scene may show, the likeliest first.
-
-        Args:
-            scene: features of the scene.
-            pool: threads that do the work.
-        """
+        """Numbers of the parts that a scene may show, the likeliest first."""
         if not len(scene.code) or not len(self._code):
             return []
         part, row, weight = self._votes(scene.code, pool)

@@ -46,7 +46,6 @@ class FlatInstance(NamedTuple):
         inliers: matches at different places that agree.
         coverage: ratio of the side inside the hull of these.
         likeness: ratio of the side's cells that look like the scene.
-        matches: those inliers.
     """
 
     homography: Floats

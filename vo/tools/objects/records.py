@@ -41,13 +41,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class StoredObject:
-    """An object of a database.
-
-    Attributes:
-        name: unique in its database.
-        parts: its sides.
-        images: number of images that it was made of.
-    """
+    """An object of a database."""
 
     name: str
     parts: tuple[Part, ...]
@@ -64,7 +58,6 @@ class FoundObject:
     """An instance of an object in an image.
 
     Attributes:
-        name: of the object.
         part: number of the side of it that is seen.
         confidence: probability that the object is there, 0 to 1.
         inliers: features that agree.

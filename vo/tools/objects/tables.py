@@ -24,8 +24,6 @@ class FrameObjects(NamedTuple):
     Attributes:
         frame: its number, 0 for an image.
         stamp_ns: its time, None for an image.
-        found: the objects.
-        tracks: the id of each.
     """
 
     frame: int

@@ -21,11 +21,8 @@ class Track:
 
     Attributes:
         id: from 0.
-        name: of the object.
         first: number of the first frame.
         last: number of the last frame.
-        frames: how many report it.
-        confidence: the highest one.
         outline: (M, 2) in the last frame.
     """
 

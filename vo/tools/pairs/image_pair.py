@@ -28,11 +28,9 @@ class PairOptions(NamedTuple):
     """How two images are related.
 
     Attributes:
-        config: features and matching.
         grid_motion: keep matches that their neighbours support (GMS) instead of a ratio test.
         model: `f` fundamental, `e` essential (needs cameras), `h` homography, or the one of these
             that explains the matches best.
-        fit: robust method and threshold.
         cameras: of both images, None if they are unknown.
     """
 
@@ -49,8 +47,6 @@ class ImagePair:
 
     Attributes:
         sizes: (width, height) of both images.
-        keypoints: features of both images.
-        matches: rows of the features that belong together.
         matcher: what found them: a value of `matching.method` other than `auto`, or `gms`.
         fit: the model of the matches; of cameras with a lens, its pixels are those of ideal pinhole
             cameras with the same matrix.

@@ -29,8 +29,6 @@ class PairChoices(TypedDict, total=False):
         ratio: value of `matching.ratio`.
         cross_check: value of `matching.cross_check`.
         model: `auto`, `f`, `e` or `h`.
-        method: how the model is found among wrong matches.
-        threshold_px: maximum Sampson distance of an inlier.
     """
 
     detector: str | None

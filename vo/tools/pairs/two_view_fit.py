@@ -61,9 +61,6 @@ class _Model(NamedTuple):
     """How a kind of model is found.
 
     Attributes:
-        kind: which it is.
-        sample: matches that determine it.
-        needed: matches that determine it without ambiguity.
         find: OpenCV's function; its results, (3, 3) or stacked ones, for some points.
         refine: improves it by matches, all of which are right.
         in_pixels: the same matrix for pixels.

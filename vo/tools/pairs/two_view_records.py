@@ -44,7 +44,6 @@ class FitOptions(NamedTuple):
     """How to fit.
 
     Attributes:
-        method: robust method.
         threshold_px: maximum Sampson distance of an inlier: how far its two pixels together have to
             be moved to satisfy the model.
         confidence: probability of at least one sample without outliers.
@@ -75,15 +74,12 @@ class Fit:
     """A model of two images.
 
     Attributes:
-        kind: what it is.
         matrix: (3, 3) of length 1. Fundamental: x2^T F x1 = 0 of homogeneous pixels; essential: the
             same of rays (x/z, y/z, 1); homography: x2 ~ H x1 of pixels.
         inlier: (N,) the matches that it explains.
         error_px: (N,) Sampson distance of each match, NaN where a pixel is.
         symmetric_px: median over the inliers of the root mean square over both images of the
             distance from the epipolar line, or from the transferred pixel.
-        method: how it was found.
-        evidence: inliers compared with those of random matches.
     """
 
     kind: ModelKind
@@ -99,9 +95,7 @@ class FitFailure(NamedTuple):
     """Why matches gave no model, or no pose.
 
     Attributes:
-        reason: what failed.
         value: the number found, where the reason has one.
-        needed: the number that it is compared with.
         total: of which `value` is a part.
         refused: the model that is no better than chance.
     """

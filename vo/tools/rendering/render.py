@@ -52,11 +52,7 @@ class Rendered(NamedTuple):
     """What was drawn.
 
     Attributes:
-        output: the file.
-        frames: number of its images.
-        with_model: those in which the model is in view.
         at: position of its foot in the world.
-        unit: of lengths.
     """
 
     output: Path
