@@ -25,6 +25,7 @@ from vo.engine.places.database import KeyframeDatabase
 from vo.outputs.recorders import entities
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.registry import open_source
+from vo.runs.run_options import RunOptions
 from vo.runs.run_recording import _with_loops
 
 
@@ -182,5 +183,5 @@ def test_loops_are_closed_by_default_with_orb_however_it_is_named(
     settings: list[str], has_loops: bool
 ) -> None:
     config = load_config(overrides=settings)
-    assert _with_loops(config, {}, is_live=False).memory.loops is has_loops
-    assert _with_loops(config, {}, is_live=True).memory.loops is False
+    assert _with_loops(config, RunOptions(), is_live=False).memory.loops is has_loops
+    assert _with_loops(config, RunOptions(), is_live=True).memory.loops is False
