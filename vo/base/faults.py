@@ -14,6 +14,7 @@ class FaultKind(StrEnum):
     REPEATED_IMAGES = "repeated_images"
     REPEATED_RIGHT_IMAGES = "repeated_right_images"
     LEFT_CAMERA_ALONE = "left_camera_alone"
+    EXCHANGED_IMAGES = "exchanged_images"
     INTERLACED_IMAGES = "interlaced_images"
     BLURRED_IMAGES = "blurred_images"
     FAINT_IMAGES = "faint_images"

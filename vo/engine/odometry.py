@@ -15,6 +15,7 @@ import cv2
 
 from vo.base.config import Config
 from vo.base.failures import Failure, FailureReason
+from vo.base.faults import Fault, FaultKind
 from vo.base.records.calibration_errors import CalibrationErrors
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Estimate, Frame, Rig, Snapshot, State
@@ -187,6 +188,8 @@ class Odometry:
         faults = self._tracker.update(frame, tracked)
         is_keyframe = self._needs_keyframe(frame, tracked)
         if is_keyframe:
+            if tracked.lacks_disparities and self._preprocessor.are_exchanged(frame):
+                faults += (Fault(FaultKind.EXCHANGED_IMAGES),)
             frame = self._rescue.at_keyframe(frame)
         else:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)

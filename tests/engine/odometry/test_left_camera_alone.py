@@ -95,3 +95,13 @@ def test_a_pair_high_above_the_ground_keeps_its_scale() -> None:
     errors = fit.transform_points(path) - truth
     length = np.linalg.norm(np.diff(truth, axis=0), axis=1).sum()
     assert np.sqrt(np.mean(np.sum(errors**2, axis=1))) < 0.004 * length
+
+
+def test_cameras_that_change_places_are_a_fault(recording: Recording, stereo: Run) -> None:
+    def exchanged(frame: Frame) -> Frame:
+        return replace(frame, images=frame.images[::-1])
+
+    run = track(recording.rig, changed(recording.frames, range(20, COUNT), exchanged))
+    kinds = {fault.kind: fault.is_handled for e in run.estimates for fault in e.faults}
+    assert kinds[FaultKind.EXCHANGED_IMAGES] is False
+    assert all(f.kind != FaultKind.EXCHANGED_IMAGES for e in stereo.estimates for f in e.faults)

@@ -143,6 +143,12 @@ class PairCheck:
             self._turn_checks += 1
             self._check_turned(index, left, right, len(points.left))
 
+    def are_exchanged(self, left: View, right: View) -> bool:
+        """Whether the images of a pair have changed places, later in a recording."""
+        points = self._consistent(left, right)
+        signs = disparity_signs(points.disparity, self._rig.fx)
+        return signs.are_exchanged and len(points.left) >= _MIN_POINTS
+
     def _check_turned(self, index: int, left: View, right: View, usual: int) -> None:
         """Whether the right image has to be mirrored or turned to match the left one."""
         for how, code in TURNS.items():

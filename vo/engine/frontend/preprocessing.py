@@ -194,6 +194,14 @@ class FramePreprocessor:
         if waiting is not None:
             yield waiting
 
+    def are_exchanged(self, frame: PreprocessedFrame) -> bool:
+        """Whether left and right images have changed places."""
+        if self._pair_check is None or frame.right is None:
+            return False
+        image1, features1 = frame.right
+        left, right = View(frame.image0, frame.keypoints), View(image1, features1.result())
+        return self._pair_check.are_exchanged(left, right)
+
     def close(self) -> None:
         """End the threads."""
         for pool in self._pools:

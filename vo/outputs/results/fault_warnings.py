@@ -40,6 +40,11 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "tracked with the left camera alone, as the right image did not agree: {frames}",
         "tracked with the left camera alone for too long to keep the scale: {frames}",
     ),
+    FaultKind.EXCHANGED_IMAGES: (
+        "left and right images have changed places: {frames}",
+        "left and right images have changed places: {frames}; lengths are wrong from there on; "
+        "exchange the images of the frames that follow, or use `mode=mono`",
+    ),
     FaultKind.BLURRED_IMAGES: (
         "images are blurred (blur {value:.2f} of 1): {frames}",
         "images are blurred (blur {value:.2f} of 1; sharp ones are below 0.4), so that the path is "
