@@ -22,7 +22,7 @@ from vo.base.types import (
     State,
     View,
 )
-from vo.engine.frontend.image_quality import explained
+from vo.engine.frontend.image_faults import image_defect, missing_content
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.neighbours import far_from
 from vo.engine.mapping.keyframe import Keyframe
@@ -38,6 +38,18 @@ _FAULTS_OF_FAILURES = {
     FailureReason.IMPLAUSIBLE_STEP: FaultKind.IMPLAUSIBLE_STEP,
     FailureReason.IMPLAUSIBLE_SPEED: FaultKind.IMPLAUSIBLE_STEP,
 }
+
+# Failures that a defect of the image may explain.
+_OF_IMAGES = frozenset(
+    {
+        FailureReason.FEW_FEATURES,
+        FailureReason.FEW_MATCHES,
+        FailureReason.NO_ESSENTIAL_MATRIX,
+        FailureReason.FEW_GOOD_POINTS,
+        FailureReason.FEW_LANDMARKS,
+        FailureReason.FEW_INLIERS,
+    }
+)
 
 
 class FrameResult(NamedTuple):
@@ -99,7 +111,7 @@ def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
         state=state,
-        failure=None if tracked is not None else explained(result.failure, frame),
+        failure=None if tracked is not None else _explained(result.failure, frame),
         segment=segment,
         world_from_cam0=None,
         is_keyframe=result.is_keyframe,
@@ -110,6 +122,17 @@ def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
         median_disparity_px=None if tracked is None else tracked.median_disparity_px,
         tracked_anew_from=frame.misled[0].index if frame.misled else None,
     )
+
+
+def _explained(failure: Failure | None, frame: PreprocessedFrame) -> Failure | None:
+    """A failure of a frame, with the defect of its image that explains it, if there is one."""
+    for camera, image in enumerate(frame.images):
+        defect = None if image is None else missing_content(image)
+        if defect is not None:
+            return Failure(FailureReason.IMAGE_DEFECT, defect=defect, camera=camera)
+    if failure is None or failure.reason not in _OF_IMAGES:
+        return failure
+    return failure._replace(defect=image_defect(frame.image0))
 
 
 def make_snapshot(

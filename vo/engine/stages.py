@@ -43,7 +43,6 @@ from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.placement import Placement
 from vo.engine.recovery import LossPolicy, Recovery
 from vo.engine.refinement.calibration_refiner import CalibrationRefiner
-from vo.engine.tracking.inertial_motion import InertialMotion
 from vo.engine.tracking.keyframe_policy import KeyframeForecast, KeyframePolicy
 from vo.engine.tracking.monocular_initializer import MonocularInitializer
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
@@ -210,10 +209,10 @@ def _motion(
     """The built-in motion model; two cameras with a global shutter need no gyroscope."""
     if sensor is None or predictor is None:
         return ConstantVelocity()
+    from vo.engine.tracking.inertial_motion import GyroMotion, InertialMotion
+
     if rig.is_metric and rig.readout_s == 0.0:
         return InertialMotion(ConstantVelocity(), predictor)
-    from vo.engine.tracking.gyro_motion import GyroMotion
-
     turning = GyroMotion(SampleReader(sensor), predictor.imu_from_cam)
     return InertialMotion(turning, predictor)
 

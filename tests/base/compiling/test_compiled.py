@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 from collections import namedtuple
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -165,19 +165,13 @@ def test_comments_and_lines_do_not_matter(folder: Path) -> None:
     assert program(folder, module) == ["False", RESULT]
 
 
-def damage_by_cutting(data: bytes) -> bytes:
-    return data[: len(data) // 2]
-
-
-def damage_by_a_bit(data: bytes) -> bytes:
-    return data[:1000] + bytes([data[1000] ^ 1]) + data[1001:]
-
-
-@pytest.mark.parametrize("damage", [damage_by_cutting, damage_by_a_bit, lambda data: b""])
-def test_a_damaged_file_is_made_again(folder: Path, damage: Callable[[bytes], bytes]) -> None:
-    files = {f: f.stat().st_size for f in (folder / "vo").iterdir()}
-    for file in files:
-        file.write_bytes(damage(file.read_bytes()))
+def test_damaged_files_are_made_again(folder: Path) -> None:
+    files = {f: f.stat().st_size for f in sorted((folder / "vo").iterdir())}
+    cut, changed, emptied = files
+    cut.write_bytes(cut.read_bytes()[:1000])
+    data = changed.read_bytes()
+    changed.write_bytes(data[:1000] + bytes([data[1000] ^ 1]) + data[1001:])
+    emptied.write_bytes(b"")
     assert program(folder) == ["True", RESULT]
     assert {f: f.stat().st_size for f in (folder / "vo").iterdir()} == files
 

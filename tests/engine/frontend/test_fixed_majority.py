@@ -9,8 +9,7 @@ from fixed_scenes import SHAPE, find, noisy, panning, passed_by, texture, with_b
 
 from vo.base.types import Bytes, Floats32
 from vo.engine.frontend.dark_border import DarkBorder
-from vo.engine.frontend.fixed_depth import is_scene
-from vo.engine.frontend.pair_matching import PairPoints
+from vo.engine.frontend.pair_matching import PairPoints, is_scene
 
 _BASELINE_PX = 50.0
 

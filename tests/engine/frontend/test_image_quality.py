@@ -13,8 +13,13 @@ from vo.base.failures import ImageDefect
 from vo.base.faults import FaultKind
 from vo.base.types import Bytes
 from vo.cli.app import app
-from vo.engine.frontend.image_faults import ImageFaults, blur, size_faults
-from vo.engine.frontend.image_quality import image_defect, noise_level
+from vo.engine.frontend.image_faults import (
+    ImageFaults,
+    blur,
+    image_defect,
+    noise_level,
+    size_faults,
+)
 
 SIZE = (120, 160)
 CALIBRATION = "cam0: {resolution: [160, 120], intrinsics: [120.0, 120.0, 79.5, 59.5]}\n"

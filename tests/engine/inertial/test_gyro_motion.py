@@ -10,7 +10,7 @@ from inertial_flight import IMU_FROM_CAM, START_NS, Samples, Sensor, sensor, wor
 from vo.base.geometry.transforms import inverse, rotation_angle
 from vo.base.types import Floats, Ints
 from vo.engine.inertial.samples import SampleReader
-from vo.engine.tracking.gyro_motion import GyroMotion
+from vo.engine.tracking.inertial_motion import GyroMotion
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
 
 _STAMPS = START_NS + 1_000_000_000 + np.arange(60) * 50_000_000

@@ -23,8 +23,7 @@ from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.mapping.local_map import LocalMap
-from vo.engine.tracking.gyro_motion import GyroMotion
-from vo.engine.tracking.inertial_motion import InertialMotion
+from vo.engine.tracking.inertial_motion import GyroMotion, InertialMotion
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
 from vo.engine.tracking.rolling_shutter import RollingShutter
 from vo.recordings.formats.trajectory import read_tum

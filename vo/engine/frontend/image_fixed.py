@@ -21,7 +21,6 @@ from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import percentiles
 from vo.base.types import Bools, Bytes, Floats32
 from vo.engine.frontend.dark_border import DarkBorder
-from vo.engine.frontend.fixed_depth import is_scene
 from vo.engine.frontend.image_gradients import (
     Gradients,
     correlation,
@@ -30,7 +29,7 @@ from vo.engine.frontend.image_gradients import (
     mean_product,
 )
 from vo.engine.frontend.image_overlay import OverlayDetector
-from vo.engine.frontend.pair_matching import PairPoints
+from vo.engine.frontend.pair_matching import PairPoints, is_scene
 from vo.engine.frontend.still_majority import StillMajority
 
 _MARGIN_PX = 10  # of that image: lenses and rectification leave dark edges at the image's borders

@@ -8,7 +8,7 @@ from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.types import Bools, Floats
-from vo.engine.refinement.lens_check import LensCheck
+from vo.engine.refinement.radial_distortion import LensCheck
 
 # Windows of one recording differ by more than their noise, due to uneven rectification and moving
 # objects: a standard deviation of 0.1 px at the image's sides, measured on real recordings.
