@@ -185,10 +185,15 @@ def _black(frame: Frame) -> Frame:
     return replace(frame, images=(dark, None if frame.image1 is None else dark))
 
 
+@pytest.fixture(scope="module")
+def interrupted(synthetic_stereo: Path) -> Run:
+    return _run(synthetic_stereo, "stereo", _black)
+
+
 def test_at_the_start_of_a_new_segment_all_keyframes_of_the_old_map_arrive(
-    synthetic_stereo: Path,
+    interrupted: Run,
 ) -> None:
-    run = _run(synthetic_stereo, "stereo", _black)
+    run = interrupted
     segments = [k.segment for k in run.keyframes]
     of_first = segments.count(0)
     assert of_first > CAPACITY and segments.count(1) >= 1
@@ -201,8 +206,8 @@ def test_at_the_start_of_a_new_segment_all_keyframes_of_the_old_map_arrive(
         np.testing.assert_array_equal(landmarks.id, np.sort(keyframe.landmark))
 
 
-def test_stores_of_two_kinds_receive_the_same_and_change_no_pose(synthetic_stereo: Path) -> None:
-    run, rows = _run(synthetic_stereo, "stereo", _black), RowStore()
+def test_stores_of_two_kinds_receive_the_same_and_change_no_pose(interrupted: Run) -> None:
+    run, rows = interrupted, RowStore()
     other = _track(run.rig, run.frames, rows)
     none = _track(run.rig, run.frames, None)
     assert rows.rows == [(k.id, k.frame.index, k.frame.segment) for k in run.store.keyframes]
