@@ -27,6 +27,7 @@ class FaultKind(StrEnum):
     CLOCK_SET_BACK = "clock_set_back"
     IMPLAUSIBLE_RATE = "implausible_rate"
     OTHER_STAMP_UNIT = "other_stamp_unit"
+    INERTIAL_CONTRADICTION = "inertial_contradiction"
 
 
 class Fault(NamedTuple):

@@ -1,4 +1,4 @@
-"""Whether the samples of an inertial sensor can be used with the images of a run."""
+"""Whether an inertial sensor can be used with the images of a run."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.faults import Fault, FaultKind
+from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Ints
 from vo.engine.inertial.samples import InertialSensor, Samples
 
@@ -30,6 +32,30 @@ class Unusable(NamedTuple):
 
     reason: str
     is_error: bool = True
+
+
+class InertialContradiction(Exception):
+    """A sensor contradicts the images: the run has to be made again without it.
+
+    Attributes:
+        use: the sensor, with the reason.
+    """
+
+    def __init__(self, use: InertialUse) -> None:
+        super().__init__(use.reason)
+        self.use = use
+
+
+def contradiction_faults(use: InertialUse | None, *, is_handled: bool) -> list[Fault]:
+    """The fault of a sensor that contradicts the images, if it does.
+
+    Args:
+        use: the sensor, None without one.
+        is_handled: whether the path was made without it.
+    """
+    if use is None or not use.is_contradiction:
+        return []
+    return [Fault(FaultKind.INERTIAL_CONTRADICTION, is_handled)]
 
 
 def why_unusable(sensor: InertialSensor, image_stamps_ns: Ints) -> Unusable | None:

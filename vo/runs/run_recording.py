@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
@@ -28,15 +29,17 @@ from vo.outputs.results.output_paths import (
     refuse_to_overwrite,
 )
 from vo.outputs.results.summary import Summary
-from vo.outputs.streaming.streams import opened_streams
+from vo.outputs.streaming.streams import PoseStreams, opened_streams
 from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
-from vo.runs.inertial_checks import Unusable, why_unusable
+from vo.runs.inertial_checks import InertialContradiction, Unusable, why_unusable
 from vo.runs.run_options import RunOptions
 from vo.runs.run_session import OpenedRun, RunSession
 from vo.runs.scaling.creation import make_scale_sources
+
+_log = logging.getLogger(__name__)
 
 
 def run(
@@ -76,15 +79,29 @@ def run(
     stream = _open(source, config, options)
     _check_readout(stream, config)
     opened, components = _with_imu(_opened(source, stream, config, options))
-    every, is_live = config.tracking.every, isinstance(stream, LiveStream)
-    frames = stream.frames(options.start, options.end, options.stride * every)
-    decided = _with_loops(config, options, is_live)
     with (
         _disconnected_at_end(stream),
         opened_streams(options.poses) as poses,
         locked_folder(Path(output)),
-        closing(Odometry(stream.rig, decided, components, options.optimizer_process)) as odometry,
     ):
+        try:
+            return _run(opened, output, components, poses)
+        except InertialContradiction as found:
+            # All files are made anew: they are those of a run without the sensor.
+            _log.info("%s: %s; all frames are tracked again", found.use.sensor, found)
+            options = replace(options, optimizer_process=None)
+            unused = replace(found.use, states=None, first_frame=None, metric_worlds=())
+            opened = replace(_opened(source, stream, config, options), unused_imu=unused)
+            return _run(opened, output, components._replace(inertial_sensor=None), poses)
+
+
+def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStreams) -> Summary:
+    """One run over all frames; raises as `run` and `RunSession.run` do."""
+    stream, config, options = opened.stream, opened.config, opened.options
+    every, is_live = config.tracking.every, isinstance(stream, LiveStream)
+    frames = stream.frames(options.start, options.end, options.stride * every)
+    decided, process = _with_loops(config, options, is_live), options.optimizer_process
+    with closing(Odometry(stream.rig, decided, components, process)) as odometry:
         if options.save_map is not None:
             odometry.placement.check_savable(options.save_map)
         if every > 1 and isinstance(stream, Recording):

@@ -25,6 +25,7 @@ from vo.outputs.results.tables import covariance_line, frame_line, pose_lines
 from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
+from vo.runs.inertial_checks import InertialContradiction, contradiction_faults
 from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.runs.pose_log import PoseLog
 from vo.runs.progress import NullProgress, Progress
@@ -120,6 +121,7 @@ class RunSession:
         poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults, is_live=is_live)
         self._statistics = RunStatistics()
         self._statistics.faults.add(stream.faults)
+        self._statistics.faults.add(contradiction_faults(opened.unused_imu, is_handled=True))
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
@@ -134,6 +136,7 @@ class RunSession:
             SourceError: no frame could be read.
             OutputError: a file cannot be written.
             KeyboardInterrupt: a stop signal came before the last frame.
+            InertialContradiction: a run without the inertial sensor is to replace the results.
         """
         with deferred_interrupts() as interrupts, closing(self._folder):
             try:
@@ -141,6 +144,9 @@ class RunSession:
                 self._track(frames, interrupts)
                 interrupts.close()
                 return self._end()
+            except InertialContradiction:
+                self._save(self._finish_recording)
+                raise
             except BaseException as error:
                 interrupts.close()
                 self._end_early(error)
@@ -190,6 +196,7 @@ class RunSession:
         """Finish the files and the recording after the last frame, and summarise."""
         self._end_progress()
         self._statistics.add_times(self._odometry.finish())
+        self._add_contradiction(is_over=False)
         clock = Stopwatch()
         with clock.stage("write"):
             self._apply_scale()
@@ -201,6 +208,14 @@ class RunSession:
         self._statistics.add_times(clock.stage_ms)
         return self._summarise("finished")
 
+    def _add_contradiction(self, *, is_over: bool) -> None:
+        """Begin again without a sensor that contradicts the images, or report it."""
+        use = self._odometry.placement.inertial
+        can_repeat = isinstance(self._stream, Recording) and not self._options.follow
+        if use is not None and use.is_contradiction and can_repeat and not is_over:
+            raise InertialContradiction(use)
+        self._statistics.faults.add(contradiction_faults(use, is_handled=False))
+
     def _end_early(self, error: BaseException) -> None:
         """Save the results so far before an error is raised again."""
         status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
@@ -210,6 +225,7 @@ class RunSession:
         self._end_progress()
         if status == "interrupted":
             self._save(self._odometry.finish)  # fails if a frame was broken off
+            self._add_contradiction(is_over=True)
         self._save(self._apply_scale)
         self._save(self._finish_files)
         self._save(lambda: self._summarise(status, reason))

@@ -90,9 +90,9 @@ def keyframe_stamps(count: int, period_s: float = 0.5) -> Ints:
     return START_NS + 100_000_000 + np.arange(count) * int(period_s * 1e9)
 
 
-def visual_poses(truth: Floats, scale: float, noise: float = 0.0) -> Floats:
+def visual_poses(truth: Floats, scale: float, noise: float = 0.0, *, seed: int = 3) -> Floats:
     """The same poses in a map of unknown scale, with errors of 1 mrad and 1 mm a step."""
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     steps = inverse(truth[:-1]) @ truth[1:]
     poses = [np.eye(4)]
     for step in steps:

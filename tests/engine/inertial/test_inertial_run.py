@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from sensor_faults import Change, added, scaled
 
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
@@ -209,6 +210,61 @@ def test_a_wrong_sensor_is_told_and_images_alone_are_used(
         assert (tmp_path / "out" / name).read_bytes() == (visual[0] / name).read_bytes(), name
 
 
+def _with_samples(recording: Path, copy: Path, change: Change) -> Path:
+    """A copy with changed samples."""
+    shutil.copytree(recording, copy)
+    table = copy / "mav0/imu0/data.csv"
+    heading, *lines = table.read_text().splitlines()
+    stamps = [line.split(",")[0] for line in lines]
+    values = np.array([[float(v) for v in line.split(",")[1:7]] for line in lines])
+    values = change(1e-9 * (np.array(stamps, np.int64) - int(stamps[0])), values)
+    rows = [",".join(map(repr, row)) for row in values.tolist()]
+    lines = [f"{stamp},{row}" for stamp, row in zip(stamps, rows, strict=True)]
+    table.write_text("\n".join([heading, *lines]) + "\n")
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (added([0.0, 0.0, 0.0, 35.0, 0.0, 0.0], 4.0, 5.0), "times their noise"),
+        (added([0.0, 0.0, 0.0, 0.0, 1.0, 0.0], 4.0, 99.0), "times their noise"),
+        (scaled(1.0, 1.1), "9.81 m/s²"),
+    ],
+)
+def test_a_sensor_that_contradicts_the_images_leaves_no_trace(
+    change: Change,
+    words: str,
+    walk: Path,
+    visual: tuple[Path, dict[str, Any]],
+    tmp_path: Path,
+) -> None:
+    estimates = _Estimates()
+    recording = _with_samples(walk, tmp_path / "walk", change)
+    summary = _run(recording, tmp_path / "out", poses=[estimates])
+    for name in FILES:
+        assert (tmp_path / "out" / name).read_bytes() == (visual[0] / name).read_bytes(), name
+    told = [w for w in summary["warnings"] if words in w]
+    assert len(told) == 1 and "only the images are" in told[0]
+    assert len(summary["warnings"]) == len(visual[1]["warnings"]) + 1
+    (fault,) = summary["faults"]
+    assert fault["kind"] == "inertial_contradiction" and fault["is_handled"]
+    assert summary["trusted"] and summary["length_unit"] == "map units"
+    assert summary["inertial"]["states"] is None and summary["frames"] == 96
+    assert [e.frame_index for e in estimates.found] == [*range(96), *range(96)]
+
+
+def test_one_corrupt_sample_makes_no_difference(
+    walk: Path, inertial: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    change = added([30.0, -30.0, 30.0, 150.0, -150.0, 150.0], 3.999, 4.001)
+    summary = _run(_with_samples(walk, tmp_path / "walk", change), tmp_path / "out")
+    assert summary["length_unit"] == "m" and not summary["faults"]
+    assert _scale_error(tmp_path / "out", walk) < 0.01
+    up = [each["inertial"]["states"]["up"] for each in (summary, inertial[1])]
+    assert np.dot(*up) > np.cos(np.radians(0.2))
+
+
 def test_two_cameras_keep_their_path(synthetic_stereo: Path, tmp_path: Path) -> None:
     with_imu = _run(synthetic_stereo, tmp_path / "with")
     without = _run(synthetic_stereo, tmp_path / "without", "inertial.enabled=false")
@@ -378,6 +434,25 @@ def test_without_the_sensor_a_second_without_light_divides_the_path(
     assert len(summary["segments"]) == 2 and summary["inertial_poses"] == 0
     dark = {int(image.stem) for image in sorted((dark_walk / "mav0/cam0/data").iterdir())[BLACK]}
     assert not dark & set(read_tum(tmp_path / "out" / "causal.tum").stamps_ns.tolist())
+
+
+def test_a_gap_is_not_bridged_by_a_sensor_that_is_wrong_in_it(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    dark = _darkened(shared_data / "rendered_hall_stereo", tmp_path / "hall", slice(104, 128))
+
+    def saturated(seconds: Floats, values: Floats) -> Floats:
+        inside = (seconds > 5.2) & (seconds < 6.3)
+        low = np.clip(values, [-0.05] * 3 + [-np.inf] * 3, [0.05] * 3 + [np.inf] * 3)
+        return np.where(inside[:, None], low, values)
+
+    wrong = _with_samples(dark, tmp_path / "wrong", saturated)
+    summary = _run(wrong, tmp_path / "out")
+    assert [f["kind"] for f in summary["faults"]] == ["inertial_contradiction"]
+    _run(dark, tmp_path / "without", "inertial.enabled=false")
+    for name in FILES:
+        expected = (tmp_path / "without" / name).read_bytes()
+        assert (tmp_path / "out" / name).read_bytes() == expected, name
 
 
 def test_two_seconds_without_light_are_bridged_to_a_new_map_of_two_cameras(

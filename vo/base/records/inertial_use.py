@@ -47,6 +47,7 @@ class InertialUse:
     Attributes:
         reason: why nothing was estimated with it, None where something was.
         is_error: whether the reason is an error of the sensor.
+        is_contradiction: whether it was found by the images of the run.
         first_frame: number of the frame from which on its states are known, None without.
         metric_worlds: numbers of the worlds of a single camera whose lengths are metres and whose
             z axis points up by it.
@@ -67,10 +68,12 @@ class InertialUse:
     time_offset_sigma_s: float | None = None
     used_time_offset_s: float = 0.0
     given_time_offset_s: float = 0.0
+    is_contradiction: bool = False
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         fields = asdict(self)
+        del fields["is_contradiction"]  # it is among the faults
         if self.states is not None:
             fields["states"] = {name: _rounded(v) for name, v in asdict(self.states).items()}
         fields["metric_worlds"] = list(self.metric_worlds)

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.types import Floats, ImuNoise, Ints
-from vo.engine.inertial.chain import predicted_motion
 from vo.engine.inertial.estimation import Prior, estimate_states
 from vo.engine.inertial.preintegration import Preintegrated, preintegrate
 from vo.engine.inertial.samples import SampleReader
@@ -22,6 +21,7 @@ from vo.engine.inertial.states import (
     States,
     Steps,
     joined,
+    predicted_motion,
 )
 
 # Standard deviations at both ends: poses are known, and an unknown velocity.

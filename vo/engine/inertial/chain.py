@@ -9,21 +9,35 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
-from vo.engine.geometry import so3
-from vo.engine.inertial.estimation import Estimate, KnownBiases, Prior, estimate_states, first_prior
+from vo.engine.inertial.agreement import contradiction
+from vo.engine.inertial.estimation import (
+    ChainProblem,
+    Estimate,
+    KnownBiases,
+    Prior,
+    estimate_states,
+    first_prior,
+)
 from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate, upright
 from vo.engine.inertial.preintegration import Interval, Preintegrated, preintegrate
 from vo.engine.inertial.samples import SampleReader
-from vo.engine.inertial.states import GRAVITY_M_S2, LOG_SCALE, States, Steps, joined
+from vo.engine.inertial.states import (
+    GRAVITY,
+    LOG_SCALE,
+    States,
+    Steps,
+    joined,
+    predicted_motion,
+)
 
 _WINDOW_LAST_STEP = 3.0  # standard deviations
 _WINDOW = 12  # newest keyframes whose states are estimated together
 _MAX_FIRST = 40  # newest keyframes that first states are searched with
 _RETRY_NS = 1_000_000_000  # after the motion did not determine the first states
+_RARELY_TRIED = (NotYet.NO_MOTION, NotYet.NO_GRAVITY, NotYet.WRONG_GRAVITY, NotYet.OPPOSITE)
 _MAX_BRIDGE_S = 3.0  # between segments without images
 _MAX_BIAS_RAD_S = 0.003  # from which preintegration is repeated
 _MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
-_GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +45,6 @@ class Node:
     """A keyframe.
 
     Attributes:
-        keyframe: its id.
-        frame_index: number of its frame.
-        stamp_ns: its time.
-        segment: number of its segment.
         world_from_cam: (4, 4) in the frame and the units of the segment.
         covariance: (6, 6) of the motion from the keyframe before it, as in `Steps`; None to keep
             that of an earlier call, or for the first one of a segment.
@@ -53,8 +63,6 @@ class Placed:
     """Keyframes with their states.
 
     Attributes:
-        nodes: n keyframes.
-        estimate: of their states.
         world: number of the first segment of the world.
         origin: id of the first keyframe of the world; another one is another frame.
     """
@@ -71,11 +79,9 @@ class InertialChain:
     Attributes:
         reason: why there is no estimate, None where there is one.
         initialised_frame: number of the frame at which first states were found, None before.
+        contradiction: how images and samples of a finished world contradict each other, or None.
 
     Args:
-        reader: gives the samples.
-        noise: of the sensor.
-        imu_from_cam: (4, 4).
         is_metric: whether the unit of the visual map is the metre.
     """
 
@@ -84,6 +90,7 @@ class InertialChain:
     ) -> None:
         self.reason: NotYet | None = NotYet.FEW_KEYFRAMES
         self.initialised_frame: int | None = None
+        self.contradiction: str | None = None
         self._reader, self._noise = reader, noise
         self._imu_from_cam, self._is_metric = imu_from_cam, is_metric
         self._nodes: list[Node] = []
@@ -139,6 +146,7 @@ class InertialChain:
     def restart(self) -> None:
         """Search first states anew, with the samples by the newest time offset."""
         self.read_again()
+        self.contradiction = None
         self._estimate = self._prior = self.initialised_frame = self._biases = None
         self._origin = self._begin = 0
 
@@ -160,15 +168,29 @@ class InertialChain:
 
     def _is_search_due(self) -> bool:
         """Whether to search first states: at times only, where more motion is needed."""
-        if self.reason not in (NotYet.NO_MOTION, NotYet.NO_GRAVITY) or self._tried_ns is None:
+        if self.reason not in _RARELY_TRIED or self._tried_ns is None:
             return True
         return self._nodes[-1].stamp_ns >= self._tried_ns + _RETRY_NS
 
     def finish(self) -> Placed | None:
         """Estimate all states of the newest world together, and keep the result."""
-        placed = self.smoothed()
+        placed = self._judged()
         if placed is not None:
             self._begin, self._estimate = self._origin, placed.estimate
+        return placed
+
+    def _judged(self) -> Placed | None:
+        """All states of the newest world, which is complete, after a test of their agreement."""
+        try:
+            placed = self.smoothed()
+        except np.linalg.LinAlgError:
+            self.contradiction = NotYet.DISAGREEMENT.value
+            return self.newest
+        if placed is not None:
+            states = placed.estimate.states
+            steps = self._steps(self._origin, self._origin + states.number)
+            problem = ChainProblem(steps, self._first_prior(states), self._noise)
+            self.contradiction = self.contradiction or contradiction(problem, states)
         return placed
 
     def smoothed(self) -> Placed | None:
@@ -251,6 +273,8 @@ class InertialChain:
                 self._biases = estimate.last_biases(
                     self._nodes[self._begin + estimate.states.number - 1].stamp_ns
                 )
+                self._estimate = estimate
+                self._judged()
                 self._estimate = self._prior = None
                 self.reason = NotYet.FEW_KEYFRAMES
                 return
@@ -273,6 +297,7 @@ class InertialChain:
         except np.linalg.LinAlgError:
             self._estimate = self._prior = None
             self.reason = NotYet.DISAGREEMENT
+            self.contradiction = NotYet.DISAGREEMENT.value
 
     def _predicted(self, row: int, states: States) -> States | None:
         """States with one more, at a keyframe after the last; None without measurements of it."""
@@ -290,7 +315,7 @@ class InertialChain:
             rotation, position = pose[:3, :3], pose[:3, 3]
             velocity = last.velocity[0]
             if measured is not None:
-                velocity = velocity + _GRAVITY * measured.duration_s
+                velocity = velocity + GRAVITY * measured.duration_s
                 velocity = velocity + last.rotation[0] @ measured.velocity
         elif measured is None or measured.duration_s > _MAX_BRIDGE_S:
             return None
@@ -367,26 +392,9 @@ def certain(placed: Placed) -> list[int]:
 def placed_at_origin(states: States, imu_from_cam: Floats) -> States:
     """The same states, turned about the vertical and moved: the first camera is the origin."""
     camera = states.position[0] + states.rotation[0] @ imu_from_cam[:3, 3]
-    turn = upright(states.rotation[0] @ imu_from_cam[:3, :3], _GRAVITY)
+    turn = upright(states.rotation[0] @ imu_from_cam[:3, :3], GRAVITY)
     return states._replace(
         rotation=turn @ states.rotation,
         position=(states.position - camera) @ turn.T,
         velocity=states.velocity @ turn.T,
     )
-
-
-def predicted_motion(last: States, measured: Preintegrated) -> tuple[Floats, Floats, Floats]:
-    """Rotation, position and velocity at the end of an interval that begins at a state (1)."""
-    bias = np.concatenate(
-        [
-            last.gyro_bias[0] - measured.gyro_bias,
-            last.accel_bias[0] - measured.accel_bias,
-        ]
-    )
-    change = measured.jacobian @ bias
-    duration, first = measured.duration_s, last.rotation[0]
-    rotation = first @ measured.rotation @ so3.exp(change[:3])
-    velocity = last.velocity[0] + _GRAVITY * duration + first @ (measured.velocity + change[3:6])
-    position = last.position[0] + last.velocity[0] * duration + 0.5 * _GRAVITY * duration**2
-    position = position + first @ (measured.position + change[6:])
-    return rotation, position, velocity

@@ -15,7 +15,7 @@ import numpy as np
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.inertial.chain_solver import Equations, empty_equations, solve_chain
 from vo.engine.inertial.factor_kernels import add_changes, add_factors
-from vo.engine.inertial.factors import as_arrays, inertial_residuals, visual_residuals
+from vo.engine.inertial.factors import Linearised, as_arrays, inertial_residuals, visual_residuals
 from vo.engine.inertial.scale_drift import without_scale
 from vo.engine.inertial.states import (
     ACCEL_BIAS,
@@ -163,7 +163,7 @@ def estimate_states(
     Raises:
         numpy.linalg.LinAlgError: the measurements do not determine the states.
     """
-    problem = _Problem(steps, prior, noise, last)
+    problem = ChainProblem(steps, prior, noise, last)
     for _ in range(_MAX_ITERATIONS):
         solution = solve_chain(problem.normal_equations(states))
         turn = float(np.abs(solution.step[:, ROTATION]).max())
@@ -185,36 +185,39 @@ def estimate_states(
     )
 
 
-class _Problem:
-    """Normal equations of a chain.
+class ChainProblem:
+    """Measurements of a chain, and their normal equations.
 
     Attributes:
         misfit: root mean square of all normalised residuals at the newest states, 0 without any.
+        steps: all measurements.
+        inertial_rows: of the states before inertial motions.
+        visual_rows: of those before motions by images.
     """
 
     def __init__(
         self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
     ) -> None:
         self.misfit = 0.0
-        self._steps, self._priors = steps, [(0, prior)]
+        self.steps, self._priors = steps, [(0, prior)]
         if last is not None:
             self._priors.append((len(steps.inertial), last))
         known = [k for k, m in enumerate(steps.inertial) if m is not None]
-        self._known = np.array(known, np.int64)
+        self.inertial_rows = np.array(known, np.int64)
         self._missing = np.flatnonzero([m is None for m in steps.inertial])
         measured = [m for m in steps.inertial if m is not None]
-        self._seen = np.flatnonzero(steps.is_visual)
-        self._visual_motions = steps.visual[self._seen]
+        self.visual_rows = np.flatnonzero(steps.is_visual)
+        self._visual_motions = steps.visual[self.visual_rows]
         if measured:
             self._motions = as_arrays(measured)
-            self._inertial_information = np.array([m.information for m in measured])
+            self.inertial_information = np.array([m.information for m in measured])
         walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
         self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
         covariance, drift = steps.covariance, np.zeros(len(steps.covariance))
         if not steps.is_metric:
             covariance, drift = without_scale(steps)
-        covariance = _visual_covariance(steps, covariance)[self._seen]
-        self._visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
+        covariance = _visual_covariance(steps, covariance)[self.visual_rows]
+        self.visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
         self._sigma_scale = np.sqrt(_STEP_LOG_SCALE**2 + drift)
 
     def normal_equations(self, states: States) -> Equations:
@@ -225,22 +228,35 @@ class _Problem:
             equations.before[row] += prior.information
             equations.gradient_before[row] += prior.gradient + prior.information @ off
         total, count = 0.0, 0
-        if len(self._known):
-            inertial = inertial_residuals(*_ends(states, self._known), self._motions)
-            information = self._inertial_information
-            total += add_factors(self._known, *inertial, information, np.inf, equations)
+        if len(self.inertial_rows):
+            inertial, information = self.inertial(states), self.inertial_information
+            total += add_factors(self.inertial_rows, *inertial, information, np.inf, equations)
             count += inertial.residual.size
         self._add_walks(equations, states)
-        if len(self._seen):
-            visual = visual_residuals(
-                *_ends(states, self._seen), self._visual_motions, self._steps.imu_from_cam
-            )
-            information = self._visual_information
-            total += add_factors(self._seen, *visual, information, _HUBER, equations)
+        if len(self.visual_rows):
+            visual, information = self.visual(states), self.visual_information
+            total += add_factors(self.visual_rows, *visual, information, _HUBER, equations)
             count += visual.residual.size
         self._add_scale(equations, states)
         self.misfit = float(np.sqrt(total / count)) if count else 0.0
         return equations
+
+    def inertial(self, states: States) -> Linearised:
+        """Residuals of the inertial motions, of `inertial_rows`."""
+        return inertial_residuals(*_ends(states, self.inertial_rows), self._motions)
+
+    def visual(self, states: States) -> Linearised:
+        """Residuals of the motions by images, of `visual_rows`."""
+        ends = _ends(states, self.visual_rows)
+        return visual_residuals(*ends, self._visual_motions, self.steps.imu_from_cam)
+
+    def inertial_misfits(self, states: States) -> Floats:
+        """Root mean squares of the normalised residuals of each inertial motion."""
+        if not len(self.inertial_rows):
+            return np.zeros(0)
+        residual = self.inertial(states).residual
+        squared = np.einsum("ni,nij,nj->n", residual, self.inertial_information, residual)
+        return np.asarray(np.sqrt(squared.clip(0.0) / residual.shape[1]))
 
     def _add_walks(self, equations: Equations, states: States) -> None:
         """Biases walk; where samples are missing, the velocity may have any value."""
@@ -256,8 +272,8 @@ class _Problem:
         """The scale drifts slowly within a segment; another segment has a scale of its own."""
         change = np.diff(states.log_scale)
         sigma = self._sigma_scale.copy()
-        sigma[~self._steps.is_visual] = _LOG_SCALE
-        if self._steps.is_metric:
+        sigma[~self.steps.is_visual] = _LOG_SCALE
+        if self.steps.is_metric:
             sigma[:] = _FIXED_LOG_SCALE
         weight = sigma[:, None] ** -2.0
         add_changes(np.arange(len(change)), LOG_SCALE, weight, change[:, None], equations)

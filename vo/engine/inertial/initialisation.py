@@ -21,6 +21,8 @@ from vo.engine.inertial.states import GRAVITY_M_S2, LOG_SCALE, States, Steps
 
 _ACCEL_BIAS_M_S2 = 0.3  # standard deviation before anything is known
 _MAX_GRAVITY_ERROR = 0.1  # of the magnitude, in the linear solution
+_MAX_GRAVITY_SIGMA = 0.02  # of the magnitude, from which a wrong one is an error
+_MIN_SIGMA = 5.0  # of a negative scale that is an error
 _MAX_SIGMA_LOG_SCALE = 0.02
 _MAX_SIGMA_TILT_RAD = 0.03
 _MAX_MISFIT = 3.0
@@ -37,9 +39,19 @@ class NotYet(Enum):
     NO_GRAVITY = "the motion does not determine gravity yet"
     DISAGREEMENT = "images and inertial sensor do not agree"
     WRONG_ROTATION = "rotations by images and by the gyroscope differ"
+    WRONG_GRAVITY = (
+        "gravity by its accelerometer is not 9.81 m/s² (wrong scale or bias, or it is in a vehicle "
+        "that accelerates)"
+    )
+    OPPOSITE = "its accelerations have the opposite sign of those by images"
 
 
-WRONG = (NotYet.DISAGREEMENT, NotYet.WRONG_ROTATION)
+WRONG = (
+    NotYet.DISAGREEMENT,
+    NotYet.WRONG_ROTATION,
+    NotYet.WRONG_GRAVITY,
+    NotYet.OPPOSITE,
+)
 """Reasons that do not go away with more motion."""
 
 
@@ -115,6 +127,21 @@ def _judged(estimate: Estimate, *, is_metric: bool) -> Estimate | NotYet:
     if not estimate.has_converged or estimate.misfit > _MAX_MISFIT:
         return NotYet.DISAGREEMENT
     return estimate
+
+
+def _why_not(matrix: Floats, scale: float, gravity: Floats) -> NotYet:
+    """Whether an impossible solution for scale and gravity is for lack of motion, or wrong."""
+    covariance = np.linalg.pinv(matrix.T @ matrix)
+    length = float(np.linalg.norm(gravity))
+    along = gravity / max(length, 1e-9)
+    sigma = float(np.sqrt(along @ covariance[1:4, 1:4] @ along))
+    if sigma > _MAX_GRAVITY_SIGMA * GRAVITY_M_S2:
+        return NotYet.NO_GRAVITY if scale > 0.0 else NotYet.NO_MOTION
+    if scale < -_MIN_SIGMA * float(np.sqrt(covariance[0, 0])):
+        return NotYet.OPPOSITE
+    if abs(length / GRAVITY_M_S2 - 1.0) < _MAX_GRAVITY_ERROR:
+        return NotYet.NO_MOTION
+    return NotYet.WRONG_GRAVITY
 
 
 def tilt_sigma(world_from_imu: Floats, covariance: Floats) -> float:
@@ -214,10 +241,8 @@ def _linear_states(
     solution = np.linalg.lstsq(matrix, right, rcond=None)[0]
     scale, gravity = float(solution[0]), np.asarray(solution[1:4], np.float64)
     error = abs(float(np.linalg.norm(gravity)) / GRAVITY_M_S2 - 1.0)
-    if not error < _MAX_GRAVITY_ERROR:
-        return NotYet.NO_GRAVITY
-    if not scale > 0.0:
-        return NotYet.NO_MOTION
+    if not (error < _MAX_GRAVITY_ERROR and scale > 0.0):
+        return _why_not(matrix, scale, gravity)
     turn = upright(keyframes.world_from_cam[0, :3, :3], gravity)
     return States(
         turn @ rotation,

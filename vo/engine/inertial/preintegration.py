@@ -17,6 +17,7 @@ from vo.engine.inertial.sample_kernels import integrated, turned
 
 # Errors of interpolation and integration in each interval, which no noise density contains.
 _FLOOR = (1e-5, 1e-4, 1e-4)  # rad, m/s, m
+_BRIDGED = (0.2, 2.0)  # rad/s and m/s², errors of samples that are interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +28,13 @@ class Interval:
         seconds: (n + 1,) since the start, increasing from 0.
         gyro: (n + 1, 3) rad/s.
         accel: (n + 1, 3) m/s².
+        bridged_s: time without good samples, in which they are interpolated.
     """
 
     seconds: Floats
     gyro: Floats
     accel: Floats
+    bridged_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
@@ -85,6 +88,8 @@ def preintegrate(
         noise.accel_noise**2,
     )
     covariance += _walk_covariance(noise, total)
+    if interval.bridged_s > 0.0:
+        covariance += _bridge_covariance(interval.bridged_s, total)
     return Preintegrated(
         *(total, rotation, velocity, position, jacobian, covariance, gyro_bias, accel_bias)
     )
@@ -108,3 +113,9 @@ def _walk_covariance(noise: ImuNoise, duration_s: float) -> Floats:
     diagonal[3:6] += accel * duration_s**3 / 3.0
     diagonal[6:] += accel * duration_s**5 / 20.0
     return np.diag(diagonal)
+
+
+def _bridge_covariance(bridged_s: float, duration_s: float) -> Floats:
+    """Covariance (9, 9) by a time without samples, wherever it lies in the interval."""
+    turn, change = _BRIDGED[0] * bridged_s, _BRIDGED[1] * bridged_s
+    return np.diag(np.repeat(np.square([turn, change, change * duration_s]), 3))

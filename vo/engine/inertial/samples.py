@@ -6,8 +6,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from vo.base.types import Floats, ImuNoise, Ints
+from vo.base.types import Bools, Floats, ImuNoise, Ints
 from vo.engine.inertial.preintegration import Interval
+from vo.engine.inertial.sample_checks import refused_samples
 
 _MAX_GAP_S = 0.1  # between samples; a longer one is not bridged by interpolation
 _BLOCK_NS = 10_000_000_000  # of samples that are read at a time
@@ -151,22 +152,48 @@ class SampleReader:
         rows[-1] = _interpolated(around[-2:], values[-2:], last_ns)
         seconds: Floats = 1e-9 * (around - first_ns).astype(np.float64)
         seconds[0], seconds[-1] = 0.0, 1e-9 * (last_ns - first_ns)
-        return Interval(seconds, rows[:, :3], rows[:, 3:])
+        bridged_s = 0.0 if block.refused is None else block.refused.bridged_s(first_ns, last_ns)
+        return Interval(seconds, rows[:, :3], rows[:, 3:], bridged_s)
 
     def _block_of(self, first_ns: int, last_ns: int) -> _Block:
         if self._block is None or first_ns < self._begin or last_ns > self._end:
             self._begin, self._end = first_ns, max(last_ns, first_ns + _BLOCK_NS)
             read = self._sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
             values = np.concatenate([read.gyro, read.accel], axis=1)
-            self._block = _Block(read.stamps_ns, values)
+            refused = refused_samples(read.stamps_ns, values)
+            if refused is None:
+                self._block = _Block(read.stamps_ns, values)
+            else:
+                gaps = _Refused.of(read.stamps_ns, refused)
+                self._block = _Block(read.stamps_ns[~refused], values[~refused], gaps)
         return self._block
 
 
+class _Refused(NamedTuple):
+    """Gaps that refused samples leave: times (n,) of the good samples before and after."""
+
+    before_ns: Ints
+    after_ns: Ints
+
+    @classmethod
+    def of(cls, stamps_ns: Ints, refused: Bools) -> _Refused:
+        edges = np.flatnonzero(np.diff(np.r_[False, refused, False].astype(np.int8)))
+        begin, end = edges.reshape(-1, 2).T
+        last = len(stamps_ns) - 1
+        return cls(stamps_ns[(begin - 1).clip(0)], stamps_ns[end.clip(None, last)])
+
+    def bridged_s(self, first_ns: int, last_ns: int) -> float:
+        """Time between two times that lies in gaps."""
+        begin, end = self.before_ns.clip(first_ns, last_ns), self.after_ns.clip(first_ns, last_ns)
+        return 1e-9 * float((end - begin).sum())
+
+
 class _Block(NamedTuple):
-    """Samples that were read together: times (n,), and rates and forces (n, 6)."""
+    """Good samples that were read together: times (n,), and rates and forces (n, 6)."""
 
     stamps_ns: Ints
     values: Floats
+    refused: _Refused | None = None
 
 
 def _interpolated(stamps_ns: Ints, values: Floats, at_ns: int) -> Floats:

@@ -12,6 +12,7 @@ from vo.engine.geometry import so3
 from vo.engine.inertial.preintegration import Preintegrated
 
 GRAVITY_M_S2 = 9.81
+GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
 
 # Columns of the tangent of a state.
 ROTATION, POSITION, VELOCITY = slice(0, 3), slice(3, 6), slice(6, 9)
@@ -101,3 +102,20 @@ class Steps:
     is_visual: Bools
     is_metric: bool
     imu_from_cam: Floats
+
+
+def predicted_motion(last: States, measured: Preintegrated) -> tuple[Floats, Floats, Floats]:
+    """Rotation, position and velocity at the end of an interval that begins at a state (1)."""
+    bias = np.concatenate(
+        [
+            last.gyro_bias[0] - measured.gyro_bias,
+            last.accel_bias[0] - measured.accel_bias,
+        ]
+    )
+    change = measured.jacobian @ bias
+    duration, first = measured.duration_s, last.rotation[0]
+    rotation = first @ measured.rotation @ so3.exp(change[:3])
+    velocity = last.velocity[0] + GRAVITY * duration + first @ (measured.velocity + change[3:6])
+    position = last.position[0] + last.velocity[0] * duration + 0.5 * GRAVITY * duration**2
+    position = position + first @ (measured.position + change[6:])
+    return rotation, position, velocity

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ _MAX_INTERVALS = 3000  # of a long run, every so many are left out
 _MARGIN_NS = 200_000_000
 _MAX_TURN_RAD = np.radians(10.0)  # between the fitted rotation of the sensor and the given one
 _MIN_CHANGE_S, _MIN_CHANGE_SIGMA = 0.001, 5.0
+_MIN_DRIFT_S = 0.003  # between the halves of a run
 _FIRST_FRAMES = 40  # after which the offset is measured first
 _KNOWN_SIGMA_S = 0.001
 
@@ -38,6 +40,19 @@ class TimeOffset(NamedTuple):
         """Whether it is another one than the given offset, beyond doubt."""
         change = abs(self.seconds - given_s)
         return change > max(_MIN_CHANGE_S, _MIN_CHANGE_SIGMA * self.sigma_s)
+
+
+def different_clocks(first: TimeOffset | None, second: TimeOffset | None) -> str | None:
+    """That the offsets of both halves of a run differ, in words; None where they do not."""
+    if first is None or second is None:
+        return None
+    change, sigma = second.seconds - first.seconds, math.hypot(first.sigma_s, second.sigma_s)
+    if abs(change) <= max(_MIN_DRIFT_S, _MIN_CHANGE_SIGMA * sigma):
+        return None
+    return (
+        f"its clock is {1e3 * first.seconds:+.1f} ms from that of the images in the first half of "
+        f"the run, and {1e3 * second.seconds:+.1f} ms in the second: they run at different rates"
+    )
 
 
 class OffsetSearch:

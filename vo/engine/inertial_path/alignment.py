@@ -16,7 +16,7 @@ from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.stopwatch import Stopwatch, timed
-from vo.base.types import Floats
+from vo.base.types import Floats, Ints
 from vo.engine.inertial.chain import InertialChain, Node, Placed, certain
 from vo.engine.inertial.initialisation import WRONG, tilt_sigma
 from vo.engine.inertial.prediction import (
@@ -27,7 +27,7 @@ from vo.engine.inertial.prediction import (
 )
 from vo.engine.inertial.samples import RetimedSensor, SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
-from vo.engine.inertial.time_offset import OffsetSearch
+from vo.engine.inertial.time_offset import OffsetSearch, different_clocks, measure_time_offset
 from vo.engine.inertial_path.gaps import InertialGaps, tangent_of_cam0
 from vo.engine.inertial_path.placement import EstimatedPose, InertialPlacement
 from vo.engine.inertial_path.turns import InertialTurns
@@ -48,6 +48,7 @@ class InertialAlignment:
     Attributes:
         stopwatch: measures the stage `inertial`.
         placement: where the keyframes of a single camera are by the sensor.
+        contradiction: after `finish`, how it contradicts the images; None where it does not.
 
     Args:
         sensor: with known extrinsics; its time offset is replaced where it is wrong.
@@ -66,6 +67,7 @@ class InertialAlignment:
         stopwatch: Stopwatch,
     ) -> None:
         self.stopwatch = stopwatch
+        self.contradiction: str | None = None
         self._sensor = sensor
         self._trajectory = trajectory
         self._is_metric = rig.is_metric
@@ -100,11 +102,12 @@ class InertialAlignment:
     @property
     def use(self) -> InertialUse:
         """What is known by the sensor."""
-        found = self._offset.found
+        offset, found = self._offset.found, self.contradiction
         use = InertialUse(
             self._sensor.name,
-            time_offset_s=None if found is None else found.seconds,
-            time_offset_sigma_s=None if found is None else found.sigma_s,
+            time_offset_s=None if offset is None else offset.seconds,
+            time_offset_sigma_s=None if offset is None else offset.sigma_s,
+            is_contradiction=found is not None,
             used_time_offset_s=self._sensor.time_offset_s,
             given_time_offset_s=self._sensor.given_offset_s,
         )
@@ -112,9 +115,12 @@ class InertialAlignment:
         if placed is None:
             reason = self._chain.reason
             text = None if reason is None else reason.value
-            return replace(use, reason=text, is_error=reason in WRONG)
+            is_error = reason in WRONG or found is not None
+            return replace(use, reason=found or text, is_error=is_error)
         return replace(
             use,
+            reason=found,
+            is_error=found is not None,
             first_frame=self._chain.initialised_frame,
             metric_worlds=tuple(sorted(self.placement.metric_worlds)),
             states=self._states(placed),
@@ -156,10 +162,27 @@ class InertialAlignment:
             if not self._chain.is_initialised:
                 self._chain.update()
         placed = self._chain.finish()
+        self.contradiction = self._found_contradiction()
         if placed is not None:  # in another frame, which the pose graph does not know
             self.placement.begin_frame_of(placed.world)
         self._place(placed, keeps_earlier=False)
         self._gaps.remember(placed)
+
+    def _found_contradiction(self) -> str | None:
+        """How sensor and images contradict each other, after the last frame."""
+        reason = self._chain.reason
+        found = self._chain.contradiction
+        if found is None and reason in WRONG and not self._chain.is_initialised:
+            found = reason.value
+        if found is None:
+            return None
+        stamps_ns, segments, rotations = self._tracked()
+        half = len(stamps_ns) // 2
+        offsets = [
+            measure_time_offset(stamps_ns[part], segments[part], rotations[part], self._sensor)
+            for part in (slice(0, half), slice(half, None))
+        ]
+        return different_clocks(*offsets) or found
 
     @timed("inertial")
     def fill_gaps(self) -> None:
@@ -203,10 +226,14 @@ class InertialAlignment:
 
     def _measure_offset(self) -> bool:
         """Measure the time offset with all frames; whether another one is used now."""
+        return self._offset.measure(*self._tracked())
+
+    def _tracked(self) -> tuple[Ints, Ints, Floats]:
+        """Times, segments and rotations (n, 3, 3) of all tracked frames, by images alone."""
         store = self._trajectory.store
         tracked = store.frames["fraction"] == 0  # the others are interpolated
         path = store.odometry()
-        return self._offset.measure(
+        return (
             path.stamps_ns[tracked],
             store.frames["segment"][tracked],
             path.world_from_cam[tracked, :3, :3],

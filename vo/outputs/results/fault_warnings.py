@@ -112,6 +112,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "that fits",
         "the stamps are no seconds: images would be {size:.3g} s apart",
     ),
+    FaultKind.INERTIAL_CONTRADICTION: (
+        "the inertial sensor contradicts the images and is not used; the path is the same as with "
+        "--no-imu",
+        "the inertial sensor contradicts the images, and the path was made with both: run again "
+        "with --no-imu",
+    ),
 }
 
 

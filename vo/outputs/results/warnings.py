@@ -29,8 +29,13 @@ _MAX_RANGES = 3  # listed in a warning
 
 def run_warnings(summary: Summary) -> list[str]:
     """All warnings about a run."""
+    faults = [  # a sensor that is left out is reported with the cause
+        each
+        for each in summary.faults
+        if each.kind is not FaultKind.INERTIAL_CONTRADICTION or not each.is_handled
+    ]
     return [
-        *fault_warnings(summary.faults),
+        *fault_warnings(faults),
         *_tracking_warnings(summary),
         *live_warnings(summary.live, summary.frames),
         *calibration_warnings(
@@ -166,9 +171,9 @@ def inertial_warnings(use: InertialUse | None, poses: int = 0, orientations: int
     """
     if use is None:
         return []
-    if use.reason is not None and use.is_error:
+    if use.reason is not None and use.is_error and use.states is None:
         return [f"{use.sensor} is not used, only the images are: {use.reason} (see vo info)"]
-    warnings = []
+    warnings = [] if use.reason is None or not use.is_error else [f"{use.sensor}: {use.reason}"]
     if poses:
         warnings.append(f"{counted(poses, 'lost frame')} with a pose by the inertial sensor alone")
     if orientations:
