@@ -123,9 +123,13 @@ def test_warmup_compiles_what_recordings_with_loops_need(
     first_warmup: tuple[Path, str, str],
 ) -> None:
     compiled = {name.split("-")[0] for name in files_in(first_warmup[0])}
-    for name in ("relation._best_of", "covisibility._mark_shared", "inverted_index._score"):
-        assert f"vo.engine.places.{name}" in compiled
-    assert "vo.engine.frontend.hamming_kernels.best_in_groups" in compiled
+    for name in (
+        "verification.relation._best_of",
+        "places.covisibility._mark_shared",
+        "places.inverted_index._score",
+        "frontend.hamming_kernels.best_in_groups",
+    ):
+        assert f"vo.engine.{name}" in compiled
 
 
 @pytest.mark.parametrize("quiet", [False, True])
