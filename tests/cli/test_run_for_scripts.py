@@ -12,7 +12,7 @@ import typer
 from run_calls import summary_in, vo_run
 
 from vo.base.config import load_config
-from vo.cli.run_status import NO_PATH, UNDER_SHARE, exit_if_insufficient, parse_share
+from vo.cli.run_execution import NO_PATH, UNDER_SHARE, exit_if_insufficient, parse_share
 from vo.outputs.results.summary import Summary
 from vo.runs.run_recording import run
 

@@ -1,18 +1,22 @@
-"""Execution of `vo run`: start-up, progress, the run itself, and its summary."""
+"""Execution of `vo run`: start-up, progress, the run itself, its summary and exit status."""
 
 from __future__ import annotations
 
 import logging
+import re
 import sys
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+import typer
+
+from vo.cli.echo import echo
 from vo.cli.flags import known_flags
 from vo.cli.garbage import collection_paused
 from vo.cli.run_options import Outputs
-from vo.cli.run_status import exit_if_insufficient, parse_share
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
 if TYPE_CHECKING:
@@ -24,6 +28,11 @@ if TYPE_CHECKING:
     from vo.cli.run import RunRequest
     from vo.outputs.results.summary import Summary
     from vo.outputs.streaming.sink import PoseSink
+
+NO_PATH, UNDER_SHARE = 3, 4
+"""Exit status without any pose, and where `--fail-under` is not reached."""
+
+_SHARE = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*(%?)")
 
 
 def execute(request: RunRequest) -> None:
@@ -106,14 +115,13 @@ def _start_optimizer(request: RunRequest, stack: ExitStack) -> tuple[Config, Pop
 
 
 def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: ExitStack) -> Summary:
-    from vo.cli.live_viewer import live_viewer
     from vo.cli.standard_input import NAME, spooled_input
     from vo.outputs.recorders.exports import Exports
     from vo.runs.run_recording import run
 
     shown, live, outputs, is_piped = request.viewer, request.live, request.outputs, request.is_piped
     poses = _pose_targets(outputs, stack)
-    viewer = stack.enter_context(live_viewer(shown.connect, spawn=shown.spawn, serve=shown.serve))
+    viewer = stack.enter_context(_live_viewer(shown.connect, spawn=shown.spawn, serve=shown.serve))
     source = stack.enter_context(spooled_input()) if is_piped else request.source
     return run(
         source,
@@ -154,3 +162,78 @@ def _is_terminal_for_poses(outputs: Outputs) -> bool:
     """Whether poses are written to a terminal, where a progress bar would be mixed with them."""
     is_open = sys.stdout is not None and not sys.stdout.closed
     return outputs.poses_on_standard_output and is_open and sys.stdout.isatty()
+
+
+@contextmanager
+def _live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[str | None]:
+    """URL of the viewer to stream to, or None. A served page is kept open until Ctrl-C.
+
+    Args:
+        connect: HOST:PORT of a running viewer.
+        spawn: open a viewer.
+        serve: serve a web viewer.
+
+    Raises:
+        OutputError: there is no such viewer, or it cannot be started.
+        typer.BadParameter: more than one viewer is given.
+    """
+    if sum((connect is not None, spawn, serve)) > 1:
+        raise typer.BadParameter("use only one of --connect, --spawn and --serve")
+    if connect is None and not spawn and not serve:
+        yield None
+        return
+    from vo.outputs.recorders.viewer import check_viewer, start_native, start_web, viewer_url
+
+    if connect is not None:
+        url = viewer_url(connect)
+        check_viewer(url)
+        yield url
+    elif spawn:
+        yield start_native().url
+    else:
+        viewer = start_web()
+        try:
+            echo(f"viewer at {viewer.page}", err=True)
+            yield viewer.url
+            echo(f"viewer still at {viewer.page}; press Ctrl-C to end", err=True)
+            with suppress(KeyboardInterrupt):
+                viewer.wait()
+        finally:
+            viewer.stop()
+
+
+def parse_share(text: str) -> float:
+    """The value of `--fail-under` as a fraction: `90%` or `0.9`.
+
+    Raises:
+        typer.BadParameter: it is no share from 0 to 100 %.
+    """
+    found = _SHARE.fullmatch(text.strip())
+    value = float(found[1]) / (100.0 if found[2] else 1.0) if found else -1.0
+    if not 0.0 <= value <= 1.0:
+        raise typer.BadParameter(
+            f"{text} is not a share of the frames; give for example 90% or 0.9",
+            param_hint="--fail-under",
+        )
+    return value
+
+
+def exit_if_insufficient(summary: Summary, min_share: float | None) -> None:
+    """End the command with the status of a run that has no path, or not the one required.
+
+    Raises:
+        typer.Exit: with `NO_PATH` or `UNDER_SHARE`.
+    """
+    posed = summary.tracked + summary.interpolated
+    if not posed:
+        raise typer.Exit(NO_PATH)
+    if min_share is None:
+        return
+    if posed < min_share * summary.frames:
+        found = f"{posed} of {summary.frames} frames have a pose ({posed / summary.frames:.1%})"
+        echo(f"error: {found}, --fail-under asks for {min_share:.4g}", err=True)
+    elif not summary.verdict.is_trusted:
+        echo("error: --fail-under: the path is not to be trusted, see the warnings", err=True)
+    else:
+        return
+    raise typer.Exit(UNDER_SHARE)
