@@ -36,17 +36,7 @@ _NS_PER_S = 1e9
 
 @dataclass(frozen=True)
 class Conversion:
-    """Settings of a conversion.
-
-    Attributes:
-        format: a key of the writers' `FORMATS`.
-        codec: `png`, `jpeg` or `raw`.
-        start: first frame.
-        end: frame to stop before; None for the last.
-        stride: step between frames.
-        size: width and height of all images, or a factor; None keeps the size.
-        gray: write 8-bit grey images; else images keep colour and bit depth.
-    """
+    """Settings of a conversion; a size is that of all images, or a factor."""
 
     format: str
     codec: str
@@ -66,15 +56,7 @@ class Conversion:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The frames to write.
-
-    Attributes:
-        numbers: (N,) frame numbers in the source.
-        left_ns: (N,) left stamps.
-        right_ns: (N,) right stamps; -1 without a right image.
-        unreadable: frame numbers of unreadable left images.
-        right_unreadable: frame numbers of unreadable right images.
-    """
+    """The frames to write: numbers in the source, and stamps; -1 without a right image."""
 
     numbers: Ints
     left_ns: Ints
@@ -96,13 +78,6 @@ def convert(
     on_frame: OnFrame | None = None,
 ) -> Recording:
     """Write a recording in another format; the output appears when it is complete.
-
-    Args:
-        opened: the recording.
-        output: folder to create or, for MCAP, file.
-        settings: settings of the conversion.
-        force: replace an existing file.
-        on_frame: called with the numbers of frames done and in total.
 
     Raises:
         SourceError: `vo run` would refuse the recording, or no frame is selected.

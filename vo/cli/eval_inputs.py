@@ -31,12 +31,8 @@ def read_inputs(
 ) -> Inputs:
     """Read both trajectories; each may be text, a log, or the folder of a run or recording.
 
-    Args:
-        estimate: as in `load_inputs`, or a log.
-        reference: as in `load_inputs`, or any recording with ground truth.
-        topics: poses in logs: `estimate=TOPIC`, `truth=TOPIC`, or one name if only one is a log.
-        calibration: as in `load_inputs`.
-        all_segments: as in `load_inputs`.
+    Topics are of poses in logs: `estimate=TOPIC`, `truth=TOPIC`, or one name if only one is a log;
+    others are as in `load_inputs`.
 
     Raises:
         VoError: a trajectory is missing, damaged or ambiguous.

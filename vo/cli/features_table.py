@@ -19,17 +19,7 @@ from vo.tools.laboratory.repeatability import PlaneScore
 
 @dataclass(frozen=True)
 class FeaturesResult:
-    """What was measured; one of the three lists has an entry for each method.
-
-    Attributes:
-        target: the image or recording.
-        size: width and height of its images.
-        frame: number of the frame; None for an image, and for pairs of frames.
-        reports: features of one image.
-        planes: scores on two images of a plane.
-        rows: scores on pairs of frames.
-        picture: the picture that was written.
-    """
+    """What was measured; one of the three lists has an entry for each method."""
 
     target: str
     size: tuple[int, int]

@@ -24,15 +24,9 @@ _NS_PER_S = 1e9
 
 
 class EvaluatedRun(NamedTuple):
-    """Evaluation of a run, if there is ground truth.
+    """Evaluation of the longest segment of a run and of others, if there is ground truth.
 
-    Attributes:
-        evaluation: evaluation of the longest segment; None without ground truth.
-        truth: the ground truth.
-        origin: origin of the ground truth, or the reason why there is no evaluation.
-        notes: notes for the reader of the figures.
-        others: evaluations of the other segments.
-        causal_ate_m: ATE of the causal trajectory, without poses that were only predicted.
+    Otherwise `origin` says why not. The causal error is without poses that were only predicted.
     """
 
     evaluation: Evaluation | None

@@ -168,11 +168,6 @@ def _is_terminal_for_poses(outputs: Outputs) -> bool:
 def _live_viewer(connect: str | None, *, spawn: bool, serve: bool) -> Iterator[str | None]:
     """URL of the viewer to stream to, or None. A served page is kept open until Ctrl-C.
 
-    Args:
-        connect: HOST:PORT of a running viewer.
-        spawn: open a viewer.
-        serve: serve a web viewer.
-
     Raises:
         OutputError: there is no such viewer, or it cannot be started.
         typer.BadParameter: more than one viewer is given.

@@ -23,13 +23,7 @@ _COLOURS = {"good": "[green]", "caution": "[yellow]", "bad": "[red]"}
 
 
 class WrittenFiles(NamedTuple):
-    """The files of a run.
-
-    Attributes:
-        folder: the output folder.
-        names: files in it that every run writes.
-        others: other files and folders that were requested, by what they are called in the table.
-    """
+    """The folder of a run, names of files in it, and other files by what they are called."""
 
     folder: Path
     names: tuple[str, ...]

@@ -42,12 +42,7 @@ class StopSignals:
 
 
 class IgnoringAtEnd:
-    """A progress display at whose end stop signals become ignored.
-
-    Args:
-        progress: the display.
-        signals: the reaction to signals.
-    """
+    """A progress display at whose end stop signals become ignored."""
 
     def __init__(self, progress: Progress, signals: StopSignals) -> None:
         self._signals = signals

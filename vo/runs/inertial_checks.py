@@ -23,12 +23,7 @@ _MAX_RATE_RAD_S = 35.0  # 2000 degrees per second, the range of most sensors
 
 
 class Unusable(NamedTuple):
-    """Why a sensor is not used.
-
-    Attributes:
-        reason: for messages.
-        is_error: whether something is wrong; otherwise it was not meant for this.
-    """
+    """Why a sensor is not used; no error if it was not meant to be."""
 
     reason: str
     is_error: bool = True
@@ -60,10 +55,6 @@ def contradiction_faults(use: InertialUse | None, *, is_handled: bool) -> list[F
 
 def why_unusable(sensor: InertialSensor, image_stamps_ns: Ints) -> Unusable | None:
     """Check the pose and the stamps of a sensor, and the values of parts of its samples.
-
-    Args:
-        sensor: any.
-        image_stamps_ns: (N,) times of the images.
 
     Returns:
         None if it can be used.

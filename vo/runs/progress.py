@@ -11,12 +11,7 @@ class Progress(Protocol):
     """Observer of a run."""
 
     def begin(self, name: str, total: int) -> None:
-        """Before the first frame.
-
-        Args:
-            name: name of the recording.
-            total: number of frames to process; 0 if unknown.
-        """
+        """Before the first frame; `total` is 0 if the number of frames is unknown."""
 
     def step(self, done: int, estimate: Estimate) -> None:
         """After each frame; `done` includes unreadable frames."""

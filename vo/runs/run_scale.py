@@ -18,11 +18,7 @@ from vo.runs.scaling.georeference import write_georeference
 class RunScale:
     """Measures the scale of a run once, and converts its path to metres.
 
-    Attributes:
-        findings: what was measured; None before, and without a source.
-
-    Args:
-        sources: of the scale; without any, nothing is changed.
+    `findings` is None before, and without a source.
     """
 
     def __init__(self, sources: ScaleSources) -> None:
@@ -51,11 +47,6 @@ class RunScale:
         known: Sequence[str] = (),
     ) -> None:
         """Measure, convert the path, and write the files of markers and globe.
-
-        Args:
-            store: the path.
-            folder: of the results.
-            known: sentences for the user beside those of the sources.
 
         Raises:
             OutputError: one of them cannot be written.

@@ -47,11 +47,7 @@ class BatchProgress(Protocol):
 
 
 class Engine(Protocol):
-    """Runs jobs somewhere.
-
-    Attributes:
-        limits: of each job.
-    """
+    """Runs jobs somewhere."""
 
     limits: Limits
 
@@ -65,15 +61,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class BatchResult:
-    """Results of all jobs, in the order of the plan.
-
-    Attributes:
-        output: folder of the batch.
-        results: of all jobs.
-        wall_s: duration.
-        kept: number of results of an earlier batch that were kept.
-        is_interrupted: whether a stop signal came before the last job.
-    """
+    """Results of all jobs, in the order of the plan."""
 
     output: Path
     results: tuple[JobResult, ...]
@@ -88,11 +76,9 @@ class BatchResult:
 
 
 class LocalEngine:
-    """Runs jobs in processes of this machine.
+    """Runs jobs in processes of this machine, which together use all its cores.
 
-    Args:
-        jobs: number of jobs at the same time; None for one on two cores.
-        limits: of each job; their threads are set so that all jobs together use all cores.
+    Without `jobs`, one runs on two cores.
     """
 
     def __init__(self, jobs: int | None, limits: Limits) -> None:
@@ -130,12 +116,6 @@ def run_batch(
 
     The folder has a folder of results for each job (`NAME`, and `failed/NAME` for what failed),
     `batch.json`, `batch.csv` and `index.html`.
-
-    Args:
-        plan: the jobs.
-        output: folder of the batch.
-        engine: where they run.
-        progress: observer.
 
     Raises:
         OutputError: the folder cannot be written, another batch is writing there, or it has files

@@ -21,13 +21,9 @@ _CONFIDENCE = 0.95
 
 @dataclass(frozen=True)
 class Row:
-    """A recording in both batches.
+    """A recording in both batches, None where it is missing.
 
-    Attributes:
-        name: of the recording.
-        before: result of the first batch, None if it is not there.
-        after: of the second one.
-        ratios: by metric, second to first, of `tracked_ratio` first to second: above 1 is worse.
+    Ratios are second to first, of `tracked_ratio` first to second: above 1 is worse.
     """
 
     name: str
@@ -49,14 +45,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Change:
-    """A metric over all recordings that both batches finished.
+    """Geometric mean of the ratios of a metric over all recordings that both batches finished.
 
-    Attributes:
-        metric: its name.
-        recordings: their number.
-        ratio: geometric mean of the ratios, above 1 if it became worse.
-        low: lower bound of the interval with 95 % confidence, by bootstrap.
-        high: upper bound.
+    The interval has 95 % confidence, by bootstrap.
     """
 
     metric: str
@@ -68,12 +59,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Rows, worst first, and the changes over all of them.
-
-    Attributes:
-        rows: a row for each recording of either batch.
-        changes: by metric, those without a recording left out.
-    """
+    """Rows, worst first, and the changes over all of them, without metrics of no recording."""
 
     rows: tuple[Row, ...]
     changes: tuple[Change, ...]

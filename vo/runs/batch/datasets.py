@@ -56,11 +56,6 @@ class Dataset:
 def sequences_of(key: str, folder: Path, options: Job) -> list[Job]:
     """A job for each sequence of a data set, in the order of their names.
 
-    Args:
-        key: one of `DATASETS`.
-        folder: where it is unpacked; also the folder of one sequence.
-        options: of all jobs.
-
     Raises:
         SourceError: there is no sequence of it.
     """

@@ -68,31 +68,8 @@ class JobStatus(StrEnum):
 class JobResult:
     """What came of a job; figures are those of `summary.json`, None without a result.
 
-    Attributes:
-        name: of the job.
-        source: of the job.
-        status: how it ended.
-        error: one line, None if it is done.
-        attempts: processes that were started for it.
-        fingerprint: of input, settings and versions (`vo.runs.batch.fingerprint`).
-        tags: of the job.
-        verdict: on the path.
-        trusted: whether the path can be relied on.
-        frames: requested frames.
-        tracked_ratio: ratio of frames with a pose.
-        segments: number of connected parts of the path.
-        path_m: length of the path.
-        length_unit: of all lengths but `ate_m`.
-        ate_m: root mean square of the position error of the longest segment, where there is
-            ground truth; mono: after alignment with scale.
-        causal_ate_m: the same of the causal path.
-        drift_percent: mean position error over sub-paths, relative to their length (KITTI's t_rel).
-        drift_deg_per_100m: mean rotation error over them (KITTI's r_rel).
-        wall_s: duration of the run.
-        cpu_s: its CPU time in all threads and processes.
-        frames_per_s: frames by wall time.
-        peak_rss_mb: peak memory.
-        warnings: of the run, and remarks on its evaluation.
+    `ate_m` and the drift (as in KITTI) are of the longest segment where there is ground truth; in
+    mono after alignment with scale. `attempts` are the processes that were started for it.
     """
 
     name: str

@@ -35,13 +35,9 @@ _LISTS = ("overrides", "topics")
 
 @dataclass(frozen=True)
 class Plan:
-    """The jobs of a batch.
+    """The jobs of a batch, with unique names.
 
-    Attributes:
-        jobs: in order, with unique names.
-        renamed: names that had to be told apart, with their sources.
-        left_out: folders in which there is no recording.
-        dataset: the public data set that they are, one of `vo.runs.batch.datasets.DATASETS`.
+    The names `renamed` had to be told apart; folders `left_out` contain no recording.
     """
 
     jobs: tuple[Job, ...]

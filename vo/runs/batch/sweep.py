@@ -36,14 +36,7 @@ _RANGE = re.compile(r"([^.,]+(?:\.\d+)?)\.\.([^.,]+(?:\.\d+)?)")
 
 @dataclass(frozen=True)
 class Space:
-    """The values of one setting.
-
-    Attributes:
-        key: `section.key`.
-        values: all values, for a grid; empty for a range.
-        low: lower end of a range.
-        high: upper end, included.
-    """
+    """The values of one setting, or the ends of its range, both included."""
 
     key: str
     values: tuple[str, ...] = ()
@@ -76,14 +69,9 @@ class Trial:
 
 @dataclass(frozen=True)
 class SweepResult:
-    """What a sweep found.
+    """What a sweep found: trials, best first, and the best one that is better than no change.
 
-    Attributes:
-        trials: all of them, best first.
-        best: the best one that is better than the unchanged settings; None if none is.
-        training: names of the recordings that trials have run on.
-        held_out: names of the others.
-        check: the best settings compared with the unchanged ones on the latter; None without them.
+    `check` compares it with the unchanged settings on recordings that no trial has run on.
     """
 
     trials: tuple[Trial, ...]
@@ -145,12 +133,7 @@ def check_spaces(spaces: Sequence[Space], options: Job) -> None:
 
 
 def split(jobs: Sequence[Job], held_out: float, seed: int) -> tuple[list[Job], list[Job]]:
-    """Jobs for trials, and jobs that are held out, drawn by a seed.
-
-    Args:
-        jobs: all jobs.
-        held_out: ratio of those that are held out, rounded; 0 for none.
-        seed: of the drawing.
+    """Jobs for trials, and the ratio `held_out` of them, drawn by a seed.
 
     Raises:
         ConfigError: nothing would be left for trials.
@@ -171,14 +154,7 @@ def split(jobs: Sequence[Job], held_out: float, seed: int) -> tuple[list[Job], l
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """How a sweep chooses.
-
-    Attributes:
-        trials: number of trials chosen by Optuna; None for all combinations of values.
-        held_out: ratio of the recordings that no trial runs on.
-        max_cpu: greatest ratio of the CPU time to that of the unchanged settings; None for any.
-        seed: of the choices.
-    """
+    """How a sweep chooses: without `trials` all combinations, without `max_cpu` at any CPU time."""
 
     trials: int | None = None
     held_out: float = 0.3
@@ -195,14 +171,6 @@ def run_sweep(
     progress: Callable[[str], BatchProgress | None] = lambda _: None,
 ) -> SweepResult:
     """Search for settings with lower position errors.
-
-    Args:
-        plan: the recordings, with ground truth.
-        spaces: the settings to change.
-        output: folder for the batches, `best.yaml` and `sweep.json`.
-        engine: where recordings run.
-        options: how it chooses.
-        progress: observer of each batch, given its name.
 
     Raises:
         ConfigError: a setting or option is wrong.

@@ -35,15 +35,8 @@ _COLUMNS = (
 class Totals:
     """Figures over all recordings of a batch; None where there is nothing to count.
 
-    Attributes:
-        recordings: their number.
-        by_status: number by status.
-        untrusted: number of finished runs whose path is not to be relied on.
-        tracked_ratio: mean ratio of frames with a pose of finished runs.
-        median_ate_m: of those with ground truth.
-        frames: processed frames.
-        wall_s: sum over all runs.
-        cpu_s: the same.
+    Frames, times and the ratio of frames with a pose are of finished runs; `untrusted` of them are
+    not to be relied on.
     """
 
     recordings: int
