@@ -72,7 +72,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"inspection", "laboratory", "maps", "markers", "objects", "rendering"},
     ),
     "vo.runs": (
-        {"inertial_checks", "interrupts", "progress", "scaling"},
+        {"inertial_checks", "interrupts", "pose_log", "progress", "scaling"},
         {"run_options", "run_scale", "run_summary"},
         {"run_session"},
         {"run_recording"},

@@ -37,6 +37,7 @@ _IN_PYTHON = {
     "masks.files": "mask",
     "masks.ignore": "ignore",
     "masks.roi": "roi",
+    "inertial.enabled": "no_imu",
     "memory_mb": "memory",
     "set": "overrides",
 }

@@ -8,18 +8,14 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
-from vo.base.geometry.transforms import whole_transforms
 from vo.base.option_names import with_flags
 from vo.base.printable import one_line
 from vo.base.records.inertial_use import InertialUse
 from vo.base.stopwatch import Stopwatch
-from vo.base.types import Estimate, Floats, Frame, Trajectory
+from vo.base.types import Estimate, Frame, Trajectory
 from vo.engine.odometry import Odometry
-from vo.engine.trajectory.table import Table
 from vo.outputs.recorders.recorder import LoopClosures, Recorder
 from vo.outputs.results.folder import RunFolder
 from vo.outputs.results.live_summary import LiveState
@@ -31,6 +27,7 @@ from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.inertial_checks import InertialContradiction, contradiction_faults
 from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
+from vo.runs.pose_log import PoseLog
 from vo.runs.progress import NullProgress, Progress
 from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
@@ -40,8 +37,6 @@ from vo.runs.scaling.creation import ScaleSources
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
 _REFRESH_RATIO = 0.02  # maximum ratio of the time that they take
-
-_POSE = np.dtype([("stamp_ns", np.int64), ("world_from_cam", np.float64, (3, 4))])
 
 
 @dataclass(frozen=True)
@@ -119,7 +114,7 @@ class RunSession:
         self._statistics = RunStatistics()
         self._statistics.faults.add(stream.faults)
         self._statistics.faults.add(contradiction_faults(opened.unused_imu, is_handled=True))
-        self._causal = _PoseLog()
+        self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = 0.0
         self._start_up_ms = 0.0
@@ -362,22 +357,6 @@ class RunSession:
             return None
         wall_ms = (time.perf_counter() - since) * 1e3
         return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._statistics.total_ms()})
-
-
-class _PoseLog:
-    """Stamps and causal poses in time order, which never change."""
-
-    def __init__(self) -> None:
-        self._table = Table(_POSE)
-
-    def append(self, stamp_ns: int, world_from_cam: Floats) -> None:
-        """Append a pose (4, 4)."""
-        self._table.append(stamp_ns, world_from_cam[:3])
-
-    def trajectory(self) -> Trajectory:
-        """All poses."""
-        rows = self._table.rows
-        return Trajectory(rows["stamp_ns"].copy(), whole_transforms(rows["world_from_cam"]))
 
 
 def _awaited(

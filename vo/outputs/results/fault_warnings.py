@@ -114,9 +114,9 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
     ),
     FaultKind.INERTIAL_CONTRADICTION: (
         "the inertial sensor contradicts the images and is not used; the path is the same as with "
-        "--no-imu",
+        "`inertial.enabled=false`",
         "the inertial sensor contradicts the images, and the path was made with both: run again "
-        "with --no-imu",
+        "with `inertial.enabled=false`",
     ),
 }
 
