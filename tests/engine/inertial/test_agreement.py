@@ -53,7 +53,7 @@ def _good() -> Sensor:
 @pytest.mark.parametrize("seed", range(6))
 def test_noise_is_no_contradiction(seed: int, *, is_metric: bool) -> None:
     chain = _chain(_good(), is_metric=is_metric, seed=seed)
-    assert chain.is_initialised and chain.contradiction is None
+    assert chain.is_initialised and chain.agreement.contradiction is None
 
 
 @pytest.mark.parametrize("is_metric", [False, True])
@@ -75,19 +75,19 @@ def test_noise_is_no_contradiction(seed: int, *, is_metric: bool) -> None:
 )
 def test_faults_are_found(change: Change, *, is_metric: bool) -> None:
     chain = _chain(changed(_good(), change), is_metric=is_metric)
-    assert chain.contradiction is not None or not chain.is_initialised
+    assert chain.agreement.contradiction is not None or not chain.is_initialised
 
 
 @pytest.mark.parametrize("rate", [1.01, 0.995])
 def test_another_rate_of_the_clock_is_found(rate: float) -> None:
     good = _good()
     since = ((good.stamps_ns - START_NS) * rate).astype(np.int64)
-    assert _chain(restamped(good, START_NS + since)).contradiction is not None
+    assert _chain(restamped(good, START_NS + since)).agreement.contradiction is not None
 
 
 def test_a_wrong_pose_is_found() -> None:
     turned = make_transform(so3.exp(np.array([[0.05, 0.0, 0.0]]))[0], np.zeros(3)) @ IMU_FROM_CAM
-    assert _chain(_good(), imu_from_cam=turned).contradiction is not None
+    assert _chain(_good(), imu_from_cam=turned).agreement.contradiction is not None
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_a_wrong_pose_is_found() -> None:
 )
 def test_bad_samples_that_are_refused_leave_the_rest_usable(change: Change) -> None:
     right, chain = _chain(_good()), _chain(changed(_good(), change))
-    assert chain.contradiction is None
+    assert chain.agreement.contradiction is None
     assert chain.newest is not None and right.newest is not None
     states, expected = chain.newest.estimate.states, right.newest.estimate.states
     np.testing.assert_allclose(states.log_scale, expected.log_scale, atol=0.005)
@@ -127,7 +127,13 @@ def test_a_world_before_a_long_gap_is_tested_too() -> None:
     for k in rows:
         chain.set(Node(k, 10 * k, int(stamps[k]), int(k > 20), poses[k], covariance))
         chain.update()
-    assert chain.contradiction is not None
+    assert chain.agreement.contradiction is not None
+
+
+def test_small_faults_make_stated_errors_larger() -> None:
+    right, chain = _chain(_good()), _chain(changed(_good(), scaled(1.0, 1.008)))
+    assert chain.agreement.contradiction is None
+    assert chain.agreement.excess > max(2.5, right.agreement.excess)
 
 
 def test_a_clock_that_drifts_is_named() -> None:

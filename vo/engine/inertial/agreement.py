@@ -20,13 +20,14 @@ from vo.engine.inertial.estimation import ChainProblem
 from vo.engine.inertial.factor_kernels import add_factors
 from vo.engine.inertial.states import GRAVITY_M_S2, LOG_SCALE, WIDTH, States
 
-_MAX_MISFIT = 2.0  # of all steps; 0.3 to 0.6 in runs without faults
+_MAX_MISFIT = 1.5  # of all steps; 0.3 to 0.7 in runs without faults
 _MAX_STEP_MISFIT = 4.0  # of the samples of one step; at most 0.7 in runs without faults
 _MAX_GAP_MISFIT = 2.5  # the same of a step that images do not lead across
-_USUAL_MISFIT = 0.5  # with a larger one, standard deviations are larger in proportion
+_USUAL_MISFIT = 0.7  # with a larger one, standard deviations are larger in proportion
 _MAX_SIGMA = 4.5
+_CHANCE = 2.5  # largest deviation by chance, in standard deviations
 # Smaller deviations are no contradiction: sensors and the noise model are not perfect.
-_MIN_GRAVITY, _MIN_SCALE, _MIN_TILT_RAD = 0.02, 0.015, math.radians(0.3)
+_MIN_GRAVITY, _MIN_SCALE, _MIN_TILT_RAD = 0.02, 0.015, math.radians(0.25)
 _MIN_STEPS = 4  # in a part of a run
 _MAX_PARTS = 4
 
@@ -43,14 +44,39 @@ class Deviation(NamedTuple):
     sigma: float
 
 
-def contradiction(problem: ChainProblem, states: States) -> str | None:
-    """What contradicts the images, in words; None where they agree with the sensor.
+class Agreement(NamedTuple):
+    """Result of all tests.
+
+    Attributes:
+        contradiction: what contradicts the images, in words; None where they agree.
+        excess: by which standard deviations of states are too small, 1 where nothing shows it.
+    """
+
+    contradiction: str | None = None
+    excess: float = 1.0
+
+
+def agreement(problem: ChainProblem, states: States) -> Agreement:
+    """Test the most probable states of a world.
 
     Args:
-        problem: the measurements of a world.
-        states: its most probable ones.
+        problem: its measurements.
+        states: their most probable values.
     """
     test = _ScoreTest(problem, states)
+    found = _of_residuals(problem, states)
+    if found is not None or len(problem.inertial_rows) < 2 * _MIN_STEPS:
+        return Agreement(found)
+    excess = 1.0
+    for deviation, least, text in _deviations(test, problem):
+        sigma = deviation.sigma * max(1.0, problem.misfit / _USUAL_MISFIT)
+        if abs(deviation.value) > max(least, _MAX_SIGMA * sigma):
+            return Agreement(text)
+        excess = max(excess, abs(deviation.value) / deviation.sigma)
+    return Agreement(None, excess if excess > _CHANCE else 1.0)
+
+
+def _of_residuals(problem: ChainProblem, states: States) -> str | None:
     if not problem.misfit <= _MAX_MISFIT:
         return (
             f"its samples differ from the images by {problem.misfit:.3g} times their noise (a hit, "
@@ -62,31 +88,29 @@ def contradiction(problem: ChainProblem, states: States) -> str | None:
     if above.any():
         at_s = float(steps.duration_s[: int(rows[above.argmax()])].sum())
         return f"its samples from {at_s:.1f} s of the path on are not the motion of the images"
-    if len(rows) < 2 * _MIN_STEPS:
-        return None
-    gravity = test.of_gravity(np.array([0.0, 0.0, 1.0]))
-    if _is_too_large(gravity, _MIN_GRAVITY, problem.misfit):
-        return (
-            f"gravity would be {gravity.value:+.1%} from {GRAVITY_M_S2} m/s² (wrong scale or bias "
-            "of its accelerometer, or it is in a vehicle that accelerates)"
-        )
-    for part in _parts(len(steps.duration_s)):
-        for axis in np.eye(3)[:2]:
-            tilt = test.of_gravity(axis, part)
-            if _is_too_large(tilt, _MIN_TILT_RAD, problem.misfit):
-                return (
-                    f"the direction of gravity changes by {math.degrees(abs(tilt.value)):.2g}° in "
-                    "a part of the run (its bias jumps, or it is in a vehicle that accelerates)"
-                )
-        scale = None if steps.is_metric else test.of_scale(part)
-        if scale is not None and _is_too_large(scale, _MIN_SCALE, problem.misfit):
-            return f"the scale of a part of the run would differ by {scale.value:+.1%}"
     return None
 
 
-def _is_too_large(found: Deviation, least: float, misfit: float) -> bool:
-    sigma = found.sigma * max(1.0, misfit / _USUAL_MISFIT)
-    return abs(found.value) > max(least, _MAX_SIGMA * sigma)
+def _deviations(test: _ScoreTest, problem: ChainProblem) -> Iterator[tuple[Deviation, float, str]]:
+    """Deviations of further unknowns, how large they may always be, and what a larger one means."""
+    gravity = test.of_gravity(np.array([0.0, 0.0, 1.0]))
+    text = (
+        f"gravity would be {gravity.value:+.1%} from {GRAVITY_M_S2} m/s² (wrong scale or bias of "
+        "its accelerometer, or it is in a vehicle that accelerates)"
+    )
+    yield gravity, _MIN_GRAVITY, text
+    for part in _parts(len(problem.steps.duration_s)):
+        for axis in np.eye(3)[:2]:
+            tilt = test.of_gravity(axis, part)
+            text = (
+                f"the direction of gravity changes by {math.degrees(abs(tilt.value)):.2g}° in a "
+                "part of the run (its bias jumps, or it is in a vehicle that accelerates)"
+            )
+            yield tilt, _MIN_TILT_RAD, text
+        if not problem.steps.is_metric:
+            scale = test.of_scale(part)
+            text = f"the scale of a part of the run would differ by {scale.value:+.1%}"
+            yield scale, _MIN_SCALE, text
 
 
 def _parts(count: int) -> Iterator[Bools]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
-from vo.engine.inertial.agreement import contradiction
+from vo.engine.inertial.agreement import Agreement, agreement
 from vo.engine.inertial.estimation import (
     ChainProblem,
     Estimate,
@@ -79,10 +79,7 @@ class InertialChain:
     Attributes:
         reason: why there is no estimate, None where there is one.
         initialised_frame: number of the frame at which first states were found, None before.
-        contradiction: how images and samples of a finished world contradict each other, or None.
-
-    Args:
-        is_metric: whether the unit of the visual map is the metre.
+        agreement: of finished worlds, the first one that contradicts.
     """
 
     def __init__(
@@ -90,7 +87,7 @@ class InertialChain:
     ) -> None:
         self.reason: NotYet | None = NotYet.FEW_KEYFRAMES
         self.initialised_frame: int | None = None
-        self.contradiction: str | None = None
+        self.agreement = Agreement()
         self._reader, self._noise = reader, noise
         self._imu_from_cam, self._is_metric = imu_from_cam, is_metric
         self._nodes: list[Node] = []
@@ -146,7 +143,7 @@ class InertialChain:
     def restart(self) -> None:
         """Search first states anew, with the samples by the newest time offset."""
         self.read_again()
-        self.contradiction = None
+        self.agreement = Agreement()
         self._estimate = self._prior = self.initialised_frame = self._biases = None
         self._origin = self._begin = 0
 
@@ -184,13 +181,14 @@ class InertialChain:
         try:
             placed = self.smoothed()
         except np.linalg.LinAlgError:
-            self.contradiction = NotYet.DISAGREEMENT.value
+            self.agreement = Agreement(NotYet.DISAGREEMENT.value)
             return self.newest
         if placed is not None:
             states = placed.estimate.states
             steps = self._steps(self._origin, self._origin + states.number)
             problem = ChainProblem(steps, self._first_prior(states), self._noise)
-            self.contradiction = self.contradiction or contradiction(problem, states)
+            if self.agreement.contradiction is None:
+                self.agreement = agreement(problem, states)
         return placed
 
     def smoothed(self) -> Placed | None:
@@ -297,7 +295,7 @@ class InertialChain:
         except np.linalg.LinAlgError:
             self._estimate = self._prior = None
             self.reason = NotYet.DISAGREEMENT
-            self.contradiction = NotYet.DISAGREEMENT.value
+            self.agreement = Agreement(NotYet.DISAGREEMENT.value)
 
     def _predicted(self, row: int, states: States) -> States | None:
         """States with one more, at a keyframe after the last; None without measurements of it."""
@@ -385,8 +383,8 @@ def _covariances(nodes: list[Node]) -> Floats:
 
 def certain(placed: Placed) -> list[int]:
     """Rows of the keyframes whose scale is certain enough."""
-    sigma = np.sqrt(np.maximum(placed.estimate.covariance[:, LOG_SCALE, LOG_SCALE], 0.0))
-    return np.flatnonzero(sigma < _MAX_SIGMA_LOG_SCALE).tolist()
+    variance = placed.estimate.covariance[:, LOG_SCALE, LOG_SCALE]
+    return np.flatnonzero(np.sqrt(variance.clip(0.0)) < _MAX_SIGMA_LOG_SCALE).tolist()
 
 
 def placed_at_origin(states: States, imu_from_cam: Floats) -> States:

@@ -171,7 +171,7 @@ class InertialAlignment:
     def _found_contradiction(self) -> str | None:
         """How sensor and images contradict each other, after the last frame."""
         reason = self._chain.reason
-        found = self._chain.contradiction
+        found = self._chain.agreement.contradiction
         if found is None and reason in WRONG and not self._chain.is_initialised:
             found = reason.value
         if found is None:
@@ -334,6 +334,7 @@ class InertialAlignment:
 
     def _states(self, placed: Placed) -> InertialStates:
         states, covariance = placed.estimate.states, placed.estimate.covariance[-1]
+        covariance = covariance * self._chain.agreement.excess**2
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         to_path = self._path_from_upright(placed)
         return InertialStates(
