@@ -34,7 +34,7 @@ from vo.engine.frontend.preprocessing import FramePreprocessor
 from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.engine.inertial.prediction import InertialPredictor
-from vo.engine.inertial.samples import InertialSensor, RetimedSensor, SampleReader
+from vo.engine.inertial.samples import InertialSensor, SampleReader
 from vo.engine.map_creator import MapCreator, StereoInitializer
 from vo.engine.map_updater import MapUpdater
 from vo.engine.mapping.keyframe_store import KeyframeStore
@@ -120,14 +120,14 @@ def make_stages(
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_metric)
     descriptors = frontend.extractor.descriptor_format
     given = components.inertial_sensor
-    sensor = None if given is None else RetimedSensor(given)
-    predictor = _predictor(sensor, components.inertial_noise, rectified)
-    inertial = _inertial(sensor, predictor, rectified, trajectory, stopwatch)
+    reader = None if given is None else SampleReader(given)
+    predictor = _predictor(reader, components.inertial_noise, rectified)
+    inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
     stores = [each for each in (components.keyframe_store, memory) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
-    motion = components.motion or _motion(sensor, predictor, rectified)
+    motion = components.motion or _motion(reader, predictor, rectified)
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
     factors = list(components.factor_sources)
@@ -162,17 +162,17 @@ def make_stages(
 
 
 def _inertial(
-    sensor: RetimedSensor | None,
+    reader: SampleReader | None,
     predictor: InertialPredictor | None,
     rig: RectifiedRig,
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
 ) -> InertialAlignment | None:
-    if sensor is None or predictor is None:
+    if reader is None or predictor is None:
         return None
     from vo.engine.inertial_path.alignment import InertialAlignment
 
-    return InertialAlignment(sensor, predictor, rig, trajectory, stopwatch)
+    return InertialAlignment(reader, predictor, rig, trajectory, stopwatch)
 
 
 def _memory(
@@ -193,27 +193,27 @@ def _memory(
 
 
 def _predictor(
-    sensor: RetimedSensor | None, noise: ImuNoise | None, rig: RectifiedRig
+    reader: SampleReader | None, noise: ImuNoise | None, rig: RectifiedRig
 ) -> InertialPredictor | None:
     """What predicts through lost frames, None without an inertial sensor."""
-    if sensor is None or sensor.cam0_from_imu is None:
+    if reader is None or reader.sensor.cam0_from_imu is None:
         return None
-    noise = noise or sensor.noise or NOISE_CLASSES["consumer"]
-    imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified
-    return InertialPredictor(SampleReader(sensor), noise, imu_from_cam)
+    noise = noise or reader.sensor.noise or NOISE_CLASSES["consumer"]
+    imu_from_cam = inverse(reader.sensor.cam0_from_imu) @ rig.cam0_from_rectified
+    return InertialPredictor(reader, noise, imu_from_cam)
 
 
 def _motion(
-    sensor: RetimedSensor | None, predictor: InertialPredictor | None, rig: RectifiedRig
+    reader: SampleReader | None, predictor: InertialPredictor | None, rig: RectifiedRig
 ) -> MotionModel:
     """The built-in motion model; two cameras with a global shutter need no gyroscope."""
-    if sensor is None or predictor is None:
+    if reader is None or predictor is None:
         return ConstantVelocity()
     from vo.engine.tracking.inertial_motion import GyroMotion, InertialMotion
 
     if rig.is_metric and rig.readout_s == 0.0:
         return InertialMotion(ConstantVelocity(), predictor)
-    turning = GyroMotion(SampleReader(sensor), predictor.imu_from_cam)
+    turning = GyroMotion(reader, predictor.imu_from_cam)
     return InertialMotion(turning, predictor)
 
 

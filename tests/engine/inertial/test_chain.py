@@ -22,7 +22,7 @@ from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats
 from vo.engine.inertial.chain import InertialChain, Node, Placed, certain
 from vo.engine.inertial.initialisation import NotYet
-from vo.engine.inertial.samples import RetimedSensor, SampleReader
+from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS as ACCEL_COLUMNS
 from vo.engine.inertial.states import GYRO_BIAS as GYRO_COLUMNS
 from vo.engine.inertial.states import ROTATION
@@ -186,9 +186,9 @@ def test_states_follow_a_replaced_time_offset() -> None:
     """Samples of a clock that is 40 ms ahead of that of the images."""
     source = sensor(noise=1.0, seconds=25.0)
     late = replace(source.samples, stamps_ns=source.samples.stamps_ns + 40_000_000)
-    clock = RetimedSensor(replace(source, samples=late))
+    clock = SampleReader(replace(source, samples=late))
     poses = visual_poses(world_from_cam(keyframe_stamps(45)), _SCALE, noise=1.0)
-    chain = InertialChain(SampleReader(clock), NOISE, IMU_FROM_CAM, is_metric=False)
+    chain = InertialChain(clock, NOISE, IMU_FROM_CAM, is_metric=False)
     for node in _nodes(45, poses):
         chain.set(node)
         chain.update()
@@ -207,9 +207,9 @@ def test_states_follow_a_replaced_time_offset() -> None:
 def test_first_states_are_searched_anew_by_another_offset() -> None:
     source = sensor(seconds=15.0)
     late = replace(source.samples, stamps_ns=source.samples.stamps_ns + 40_000_000)
-    clock = RetimedSensor(replace(source, samples=late))
+    clock = SampleReader(replace(source, samples=late))
     poses = visual_poses(world_from_cam(keyframe_stamps(20)), _SCALE)
-    chain = InertialChain(SampleReader(clock), NOISE, IMU_FROM_CAM, is_metric=False)
+    chain = InertialChain(clock, NOISE, IMU_FROM_CAM, is_metric=False)
     for node in _nodes(20, poses):
         chain.set(node)
         chain.update()

@@ -10,7 +10,7 @@ from inertial_flight import START_NS, Samples, Sensor, sensor, world_from_cam
 
 from vo.base.types import Floats, Ints
 from vo.engine.geometry import so3
-from vo.engine.inertial.samples import RetimedSensor, SampleReader
+from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.time_offset import OffsetSearch, TimeOffset, measure_time_offset
 
 _FRAMES = START_NS + 200_000_000 + np.arange(280) * 50_000_000  # 14 s
@@ -38,7 +38,7 @@ def _one_segment(stamps_ns: Ints = _FRAMES) -> Ints:
 @pytest.mark.parametrize("offset_s", [-0.05, -0.013, 0.0, 0.004, 0.05])
 def test_offsets_are_found_within_a_millisecond(offset_s: float) -> None:
     source = _late(sensor(noise=1.0), offset_s)
-    found = measure_time_offset(_FRAMES, _one_segment(), _rotations(), source)
+    found = measure_time_offset(_FRAMES, _one_segment(), _rotations(), SampleReader(source))
     assert found is not None
     assert abs(found.seconds - offset_s) < min(0.001, 4.0 * found.sigma_s)
     assert 0.0 < found.sigma_s < 0.0005
@@ -46,7 +46,7 @@ def test_offsets_are_found_within_a_millisecond(offset_s: float) -> None:
 
 def test_offset_is_searched_around_the_given_one() -> None:
     source = replace(_late(sensor(noise=1.0), 0.16), time_offset_s=0.15)
-    found = measure_time_offset(_FRAMES, _one_segment(), _rotations(), source)
+    found = measure_time_offset(_FRAMES, _one_segment(), _rotations(), SampleReader(source))
     assert found is not None and abs(found.seconds - 0.16) < 0.001
 
 
@@ -57,16 +57,19 @@ def test_rotations_across_segments_are_not_used() -> None:
     rotations[half:] = turn @ rotations[half:]  # another world
     segments = np.repeat([0, 1], [half, len(rotations) - half])
     source = _late(sensor(noise=1.0), 0.02)
-    found = measure_time_offset(_FRAMES, segments, rotations, source)
+    found = measure_time_offset(_FRAMES, segments, rotations, SampleReader(source))
     assert found is not None and abs(found.seconds - 0.02) < 0.001
-    assert measure_time_offset(_FRAMES, np.arange(len(_FRAMES)), rotations, source) is None
+    assert (
+        measure_time_offset(_FRAMES, np.arange(len(_FRAMES)), rotations, SampleReader(source))
+        is None
+    )
 
 
 def test_long_runs_are_thinned_out() -> None:
     source = _late(sensor(noise=1.0, seconds=22.0), 0.02)
     stamps = START_NS + 200_000_000 + np.arange(10_000) * 2_000_000
     true = world_from_cam(stamps)[:, :3, :3]
-    found = measure_time_offset(stamps, _one_segment(stamps), true, source)
+    found = measure_time_offset(stamps, _one_segment(stamps), true, SampleReader(source))
     assert found is not None and abs(found.seconds - 0.02) < 5e-4
 
 
@@ -77,28 +80,29 @@ def test_sensor_with_other_axes_or_a_camera_at_rest_gives_none() -> None:
     mirrored = Samples(given.stamps_ns, given.gyro * [1.0, 1.0, -1.0], given.accel)
     for samples in (turned, mirrored):
         wrong = replace(source, samples=samples)
-        assert measure_time_offset(_FRAMES, _one_segment(), _rotations(), wrong) is None
+        assert (
+            measure_time_offset(_FRAMES, _one_segment(), _rotations(), SampleReader(wrong)) is None
+        )
     still = np.tile(np.eye(3), (len(_FRAMES), 1, 1))
-    assert measure_time_offset(_FRAMES, _one_segment(), still, source) is None
+    assert measure_time_offset(_FRAMES, _one_segment(), still, SampleReader(source)) is None
 
 
 def test_only_certain_differences_replace_the_given_offset() -> None:
     assert not TimeOffset(0.0009, 1e-5).differs_from(0.0)
     assert not TimeOffset(0.004, 0.001).differs_from(0.0)
     assert TimeOffset(0.006, 0.001).differs_from(0.0)
-    right, wrong = (RetimedSensor(_late(sensor(noise=1.0), offset)) for offset in (0.0, 0.03))
+    right, wrong = (SampleReader(_late(sensor(noise=1.0), offset)) for offset in (0.0, 0.03))
     assert not OffsetSearch(right).measure(_FRAMES, _one_segment(), _rotations())
-    assert right.time_offset_s == right.given_offset_s == 0.0
+    assert right.time_offset_s == 0.0
     assert OffsetSearch(wrong).measure(_FRAMES, _one_segment(), _rotations())
-    assert abs(wrong.time_offset_s - 0.03) < 0.001 and wrong.given_offset_s == 0.0
+    assert abs(wrong.time_offset_s - 0.03) < 0.001
 
 
 def test_readers_follow_the_replaced_offset() -> None:
-    source = RetimedSensor(sensor())
-    reader = SampleReader(source)
+    reader = SampleReader(sensor())
     first, last = START_NS + 10_000_000, START_NS + 60_000_000
     reader.between(first, last)
-    source.time_offset_s = 0.02
+    reader.time_offset_s = 0.02
     moved, expected = (
         reader.between(first, last),
         SampleReader(sensor()).between(first + 20_000_000, last + 20_000_000),
@@ -108,7 +112,7 @@ def test_readers_follow_the_replaced_offset() -> None:
 
 
 def test_offset_is_measured_rarely_and_no_longer_with_states() -> None:
-    search = OffsetSearch(RetimedSensor(sensor()))
+    search = OffsetSearch(SampleReader(sensor()))
     assert not search.is_due(39, has_states=False)
     due = [n for n in range(40, 400) if search.is_due(n, has_states=False)]
     assert due == [40, 80, 160, 320]

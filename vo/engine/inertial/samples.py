@@ -12,6 +12,7 @@ from vo.engine.inertial.sample_checks import refused_samples
 
 _MAX_GAP_S = 0.1  # between samples; a longer one is not bridged by interpolation
 _BLOCK_NS = 10_000_000_000  # of samples that are read at a time
+_EARLIER_NS = 5_000_000_000  # keyframes are asked for after the frames that follow them
 _MARGIN_NS = 200_000_000
 
 
@@ -67,61 +68,19 @@ class InertialSensor(Protocol):
         ...
 
 
-class RetimedSensor:
-    """An inertial sensor whose time offset is replaced when it was measured.
+class SampleReader:
+    """Hands out the good samples between two times of images, interpolated at both.
 
-    All readers of its samples follow.
+    All users of a sensor share one, whose time offset is replaced when it was measured.
 
     Attributes:
-        time_offset_s: the newest one, at first that of the sensor.
-
-    Args:
-        sensor: gives everything else.
-    """
-
-    def __init__(self, sensor: InertialSensor) -> None:
-        self._sensor = sensor
-        self.time_offset_s = sensor.time_offset_s
-
-    @property
-    def given_offset_s(self) -> float:
-        """That of the sensor."""
-        return self._sensor.time_offset_s
-
-    @property
-    def name(self) -> str:
-        """For messages."""
-        return self._sensor.name
-
-    @property
-    def stamps_ns(self) -> Ints:
-        """(N,) times of all samples, increasing."""
-        return self._sensor.stamps_ns
-
-    @property
-    def cam0_from_imu(self) -> Floats | None:
-        """(4, 4), None if it is unknown."""
-        return self._sensor.cam0_from_imu
-
-    @property
-    def noise(self) -> ImuNoise | None:
-        """None if it is unknown."""
-        return self._sensor.noise
-
-    def read(self, first_ns: int | None = None, last_ns: int | None = None) -> Samples:
-        """Samples of a range of times, both ends included."""
-        return self._sensor.read(first_ns, last_ns)
-
-
-class SampleReader:
-    """Hands out the samples between two times, interpolated at both; times mostly increase.
-
-    Args:
         sensor: is read in blocks.
+        time_offset_s: the newest one, at first that of the sensor.
     """
 
     def __init__(self, sensor: InertialSensor) -> None:
-        self._sensor = sensor
+        self.sensor = sensor
+        self.time_offset_s = sensor.time_offset_s
         self._begin = self._end = 0
         self._ends = (0, 0)
         self._interval: Interval | None = None  # between these
@@ -131,7 +90,7 @@ class SampleReader:
         """Samples from the time of an image to a later one; None where samples are missing."""
         if last_ns <= first_ns:
             return None
-        offset_ns = round(1e9 * self._sensor.time_offset_s)
+        offset_ns = round(1e9 * self.time_offset_s)
         ends = first_ns + offset_ns, last_ns + offset_ns
         if self._ends != ends:  # predictions and what is learned of them ask for the same
             self._ends, self._interval = ends, self._read(*ends)
@@ -157,8 +116,9 @@ class SampleReader:
 
     def _block_of(self, first_ns: int, last_ns: int) -> _Block:
         if self._block is None or first_ns < self._begin or last_ns > self._end:
-            self._begin, self._end = first_ns, max(last_ns, first_ns + _BLOCK_NS)
-            read = self._sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
+            self._begin = first_ns - _EARLIER_NS
+            self._end = max(last_ns, first_ns + _BLOCK_NS)
+            read = self.sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
             values = np.concatenate([read.gyro, read.accel], axis=1)
             refused = refused_samples(read.stamps_ns, values)
             if refused is None:

@@ -10,7 +10,7 @@ import numpy as np
 from vo.base.types import Floats, Ints
 from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gyro
 from vo.engine.geometry.so3 import log_rows
-from vo.engine.inertial.samples import InertialSensor, RetimedSensor
+from vo.engine.inertial.samples import SampleReader
 
 MAX_CHANGE_S = 0.1
 """Largest difference from the given offset that is searched."""
@@ -62,12 +62,12 @@ class OffsetSearch:
         found: the newest measurement, None without.
 
     Args:
-        sensor: all of whose readers follow.
+        reader: follows.
     """
 
-    def __init__(self, sensor: RetimedSensor) -> None:
+    def __init__(self, reader: SampleReader) -> None:
         self.found: TimeOffset | None = None
-        self._sensor = sensor
+        self._reader = reader
         self._due = _FIRST_FRAMES
         self._is_over = False
 
@@ -86,19 +86,19 @@ class OffsetSearch:
 
     def measure(self, stamps_ns: Ints, segments: Ints, rotations: Floats) -> bool:
         """Measure as `measure_time_offset` does; whether the offset in use is another one now."""
-        self.found = measure_time_offset(stamps_ns, segments, rotations, self._sensor)
+        self.found = measure_time_offset(stamps_ns, segments, rotations, self._reader)
         if self.found is None:
             return False
         self._is_over = self._is_over or self.found.sigma_s < _KNOWN_SIGMA_S
-        used_s, given_s = self._sensor.time_offset_s, self._sensor.given_offset_s
+        used_s, given_s = self._reader.time_offset_s, self._reader.sensor.time_offset_s
         if used_s == given_s and not self.found.differs_from(given_s):
             return False  # one that was replaced before is refined
-        self._sensor.time_offset_s = self.found.seconds
+        self._reader.time_offset_s = self.found.seconds
         return True
 
 
 def measure_time_offset(
-    stamps_ns: Ints, segments: Ints, rotations: Floats, sensor: InertialSensor
+    stamps_ns: Ints, segments: Ints, rotations: Floats, reader: SampleReader
 ) -> TimeOffset | None:
     """The offset with which the gyroscope repeats the rotations of the camera.
 
@@ -106,7 +106,7 @@ def measure_time_offset(
         stamps_ns: (n,) times of frames, increasing.
         segments: (n,) numbers of their segments.
         rotations: (n, 3, 3) world_from_cam0 of each, by images alone.
-        sensor: with known extrinsics.
+        reader: of a sensor with known extrinsics.
 
     Returns:
         None if the camera turned too little, or if the gyroscope does not fit.
@@ -114,7 +114,8 @@ def measure_time_offset(
     Raises:
         SourceError: the samples cannot be read.
     """
-    assert sensor.cam0_from_imu is not None
+    cam0_from_imu = reader.sensor.cam0_from_imu
+    assert cam0_from_imu is not None
     steps = np.diff(stamps_ns)
     joined = (np.diff(segments) == 0) & (steps > 0) & (steps <= _MAX_INTERVAL_S * 1e9)
     first = np.flatnonzero(joined)
@@ -122,14 +123,14 @@ def measure_time_offset(
         return None
     first = first[:: -(-len(first) // _MAX_INTERVALS)]
     relative = np.swapaxes(rotations[first], 1, 2) @ rotations[first + 1]
-    given_ns = round(1e9 * sensor.time_offset_s)
+    given_ns = round(1e9 * reader.time_offset_s)
     begin, end = stamps_ns[first] + given_ns, stamps_ns[first + 1] + given_ns
-    samples = sensor.read(int(begin[0]) - _MARGIN_NS, int(end[-1]) + _MARGIN_NS)
+    samples = reader.sensor.read(int(begin[0]) - _MARGIN_NS, int(end[-1]) + _MARGIN_NS)
     turned = Rotations(begin, end, log_rows(relative))
     found = align_gyro(turned, samples.stamps_ns, samples.gyro, MAX_CHANGE_S)
-    if found is None or not _fits(found, sensor.cam0_from_imu[:3, :3]):
+    if found is None or not _fits(found, cam0_from_imu[:3, :3]):
         return None
-    return TimeOffset(sensor.time_offset_s + found.time_offset_s, found.time_offset_sd_s)
+    return TimeOffset(reader.time_offset_s + found.time_offset_s, found.time_offset_sd_s)
 
 
 def _fits(found: GyroAlignment, cam_from_imu: Floats) -> bool:

@@ -25,7 +25,7 @@ from vo.engine.inertial.prediction import (
     known_motion,
     without_inertial,
 )
-from vo.engine.inertial.samples import RetimedSensor, SampleReader
+from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
 from vo.engine.inertial.time_offset import OffsetSearch, different_clocks, measure_time_offset
 from vo.engine.inertial_path.gaps import InertialGaps, tangent_of_cam0
@@ -51,7 +51,7 @@ class InertialAlignment:
         contradiction: after `finish`, how it contradicts the images; None where it does not.
 
     Args:
-        sensor: with known extrinsics; its time offset is replaced where it is wrong.
+        reader: of a sensor with known extrinsics; its time offset is replaced where it is wrong.
         predictor: is told the newest states.
         rig: the rectified cameras.
         trajectory: follows.
@@ -60,7 +60,7 @@ class InertialAlignment:
 
     def __init__(
         self,
-        sensor: RetimedSensor,
+        reader: SampleReader,
         predictor: InertialPredictor,
         rig: RectifiedRig,
         trajectory: TrajectoryBuilder,
@@ -68,7 +68,8 @@ class InertialAlignment:
     ) -> None:
         self.stopwatch = stopwatch
         self.contradiction: str | None = None
-        self._sensor = sensor
+        sensor = reader.sensor
+        self._reader = reader
         self._trajectory = trajectory
         self._is_metric = rig.is_metric
         assert sensor.cam0_from_imu is not None
@@ -76,19 +77,17 @@ class InertialAlignment:
         self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
         self._adjoint = adjoint(sensor.cam0_from_imu)
         self._chain = InertialChain(
-            SampleReader(sensor),
+            reader,
             predictor.noise,
             predictor.imu_from_cam,
             is_metric=self._is_metric,
         )
-        self._offset = OffsetSearch(sensor)
-        self._gaps = InertialGaps(
-            trajectory, SampleReader(sensor), predictor.noise, sensor.cam0_from_imu
-        )
+        self._offset = OffsetSearch(reader)
+        self._gaps = InertialGaps(trajectory, reader, predictor.noise, sensor.cam0_from_imu)
         self._turns = InertialTurns(
             trajectory,
             predictor.turns,
-            SampleReader(sensor),
+            reader,
             predictor.noise,
             predictor.imu_from_cam,
             self._imu_from_cam0,
@@ -104,12 +103,12 @@ class InertialAlignment:
         """What is known by the sensor."""
         offset, found = self._offset.found, self.contradiction
         use = InertialUse(
-            self._sensor.name,
+            self._reader.sensor.name,
             time_offset_s=None if offset is None else offset.seconds,
             time_offset_sigma_s=None if offset is None else offset.sigma_s,
             is_contradiction=found is not None,
-            used_time_offset_s=self._sensor.time_offset_s,
-            given_time_offset_s=self._sensor.given_offset_s,
+            used_time_offset_s=self._reader.time_offset_s,
+            given_time_offset_s=self._reader.sensor.time_offset_s,
         )
         placed = self._chain.newest
         if placed is None:
@@ -179,7 +178,7 @@ class InertialAlignment:
         stamps_ns, segments, rotations = self._tracked()
         half = len(stamps_ns) // 2
         offsets = [
-            measure_time_offset(stamps_ns[part], segments[part], rotations[part], self._sensor)
+            measure_time_offset(stamps_ns[part], segments[part], rotations[part], self._reader)
             for part in (slice(0, half), slice(half, None))
         ]
         return different_clocks(*offsets) or found
