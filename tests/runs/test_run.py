@@ -247,7 +247,7 @@ def test_a_recorder_gets_the_whole_run(synthetic_stereo: Path, tmp_path: Path) -
             calls.append(estimate.frame_index)
             assert snapshot().view.image0.ndim == 2
 
-        def finish(self, causal: Trajectory, smoothed: Trajectory) -> None:
+        def finish(self, causal: Trajectory, smoothed: Trajectory, findings: object) -> None:
             calls.append((len(causal), len(smoothed)))
 
     run(synthetic_stereo, tmp_path, config=FAST, end=3, recorder=Notes())

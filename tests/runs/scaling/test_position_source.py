@@ -81,7 +81,7 @@ def test_an_offset_of_the_clocks_is_corrected_and_reported(late_s: float) -> Non
 def test_another_clock_is_refused_before_the_run() -> None:
     source = PositionSource(gps(SECONDS, start_ns=500_000_000_000))
     stamps_ns = drive().trajectory.stamps_ns
-    with pytest.raises(SourceError, match=r"from 499\.017 s to .*2023-11-14 .*--scale-offset"):
+    with pytest.raises(SourceError, match=r"from 499\.017 s to .*2023-11-14 .*`offset_ns`"):
         source.check_times(stamps_ns)
     PositionSource(gps(SECONDS)).check_times(stamps_ns)
 
