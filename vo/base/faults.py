@@ -24,6 +24,7 @@ class FaultKind(StrEnum):
     WRONG_STEREO_CALIBRATION = "wrong_stereo_calibration"
     DIFFERENT_ROWS = "different_rows"
     WRONG_LENS = "wrong_lens"
+    FOCAL_LENGTH_CHANGE = "focal_length_change"
     CLOCK_SET_BACK = "clock_set_back"
     IMPLAUSIBLE_RATE = "implausible_rate"
     OTHER_STAMP_UNIT = "other_stamp_unit"

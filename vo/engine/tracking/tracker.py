@@ -26,6 +26,7 @@ from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.octaves import predicted_octave
 from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame, last_frame
 from vo.engine.tracking.essential_matrix import EssentialMatrixFallback
+from vo.engine.tracking.focal_change import FocalChangeDetector
 from vo.engine.tracking.landmark_alignment import KltAligner, LandmarkAligner
 from vo.engine.tracking.motion_model import MotionModel, PosePrior
 from vo.engine.tracking.pose_estimation import PoseEstimator
@@ -80,6 +81,7 @@ class Tracker:
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
         self._steps = StepCheck(is_metric=local_map.rig.is_metric)
         self._agreement = MapAgreement()
+        self._focal_change = FocalChangeDetector(local_map.rig)
         self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
 
     @property
@@ -93,6 +95,7 @@ class Tracker:
         self._shutter.restart(frame.stamp_ns)
         self._steps.restart(frame.stamp_ns)
         self._agreement.restart()
+        self._focal_change.restart()
         self.last = last_frame(frame, tracked)
         self.knows_velocity = False
 
@@ -103,7 +106,8 @@ class Tracker:
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
-        return self._agreement.update(tracked)
+        focal = self._focal_change.update(self._map.xyz[tracked.observed.rows], tracked)
+        return self._agreement.update(tracked) + focal
 
     def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""

@@ -97,6 +97,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "the lens differs from its calibration by {value:+.1f} px at the image's edges, too much "
         "to correct; the path is inaccurate: vo calibrate",
     ),
+    FaultKind.FOCAL_LENGTH_CHANGE: (
+        "the focal length changed by {value:+.1%}: {frames}",
+        "the focal length changed by {value:+.1%} or more during the recording (zoom, autofocus, "
+        "or image stabilisation?), so that the path is wrong from there on: {frames}; switch zoom, "
+        "autofocus and stabilisation off",
+    ),
     FaultKind.CLOCK_SET_BACK: (
         "the clock of the stamps was set back by {size:.3g} s; the order of the log is used, and "
         "later stamps are moved forward",
