@@ -190,3 +190,39 @@ def test_what_is_not_there(tmp_path: Path) -> None:
         read_positions(str(tmp_path))
     with pytest.raises(SourceError, match="needs a recording"):
         read_positions("auto")
+
+
+SRT = {
+    "dji": "[latitude: 47.0000{0}] [longitude: 8.5] [rel_alt: 1.000 abs_alt: 401.5]",
+    "typo": "[latitude : 47.0000{0}] [longtitude : 8.5] [altitude: 401.5]",
+    "mini": "F/2.8, SS 206.14, ISO 150, GPS (8.5, 47.0000{0}, 16), D 0.0m, H 401.5m",
+}
+
+
+@pytest.mark.parametrize("kind", SRT)
+def test_subtitles_of_a_drone(tmp_path: Path, kind: str) -> None:
+    cues = [
+        f"{i + 1}\n00:01:{i:02d},033 --> 00:01:{i:02d},066\n{SRT[kind].format(i)}\n\n"
+        for i in range(4)
+    ]
+    lost = "5\n00:01:05,000 --> 00:01:06,000\n[latitude: 0.0] [longitude: 0.0]\n"
+    (tmp_path / "walk.SRT").write_text("\r\n".join([*"".join(cues).split("\n"), lost]))
+    found = read_positions(str(tmp_path / "walk.SRT"))
+    assert found.stamps_ns.tolist() == [(60 + i) * 10**9 + 33_000_000 for i in range(4)]
+    assert found.origin is not None
+    np.testing.assert_allclose(found.origin, [47.0, 8.5, 401.5])
+    np.testing.assert_allclose(found.xyz[:, 1], [1.11 * i for i in range(4)], atol=0.01)
+
+
+def test_gpx(tmp_path: Path) -> None:
+    points = "".join(
+        f'<trkpt lon="8.5" lat="47.0000{i}"><ele>400</ele>'
+        f"<time>2020-09-13T12:26:4{i}.5Z</time></trkpt>"
+        for i in range(3)
+    )
+    (tmp_path / "walk.gpx").write_text(f"<?xml version='1.0'?><gpx><trk>{points}</trk></gpx>")
+    found = read_positions(str(tmp_path / "walk.gpx"))
+    assert found.stamps_ns.tolist() == [unix_ns(f"2020-09-13T12:26:4{i}.5") for i in range(3)]
+    (tmp_path / "walk.gpx").write_text("<gpx><wpt lat='47' lon='8'></wpt></gpx>")
+    with pytest.raises(SourceError, match="GPX without positions that have times"):
+        read_positions(str(tmp_path / "walk.gpx"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import stat
@@ -67,7 +68,7 @@ def lfs_pointer_message(path: Path) -> str:
 
 
 def read_text(path: Path | str, max_bytes: int = MAX_TABLE_BYTES) -> str:
-    r"""The content of a text file in UTF-8, with `\n` as the only end of lines.
+    r"""The content of a text file in UTF-8 or marked UTF-16, with `\n` as the only end of lines.
 
     Raises:
         OSError: as for `read_bytes`.
@@ -95,6 +96,8 @@ def read_table_text(path: Path | str) -> str:
 
 
 def _decoded(data: bytes) -> str:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):  # Windows PowerShell writes it
+        data = data.decode("utf-16").encode()
     if b"\0" in data.rstrip(b"\0"):  # a power failure may leave some at the end
         raise UnicodeDecodeError(_ENCODING, b"\0", 0, 1, "there is a NUL in it")
     return data.decode(_ENCODING).replace("\r\n", "\n").replace("\r", "\n")

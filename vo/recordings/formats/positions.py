@@ -48,7 +48,7 @@ class PositionTable:
 
 def is_nmea(path: Path) -> bool:
     """Whether a file has a sentence with a position among its first lines."""
-    return any(_sentence(line)[:1] in (["GGA"], ["RMC"]) for line in _lines(path)[:200])
+    return any(_sentence(line)[:1] in (["GGA"], ["RMC"]) for line in position_lines(path)[:200])
 
 
 def read_nmea(path: Path) -> PositionTable:
@@ -62,7 +62,7 @@ def read_nmea(path: Path) -> PositionTable:
     times_ns: list[int] = []
     values: list[list[float]] = []
     damaged = 0
-    for line in _lines(path):
+    for line in position_lines(path):
         fields = _sentence(line)
         try:
             damaged += not fields and "$G" in line
@@ -89,7 +89,7 @@ def read_nmea(path: Path) -> PositionTable:
     turns = np.diff(stamps_ns, prepend=stamps_ns[0])
     late: Ints = np.cumsum(turns < -NS_PER_DAY // 2) - np.cumsum(turns > NS_PER_DAY // 2)
     stamps_ns += NS_PER_DAY * np.maximum(late, 0)
-    return _table(path, stamps_ns, table[:, :3], table[:, 3], True, first is None)
+    return position_table(path, stamps_ns, table[:, :3], table[:, 3], True, first is None)
 
 
 def read_position_csv(path: Path) -> PositionTable | None:
@@ -98,7 +98,7 @@ def read_position_csv(path: Path) -> PositionTable | None:
     Stamps are seconds in `time`, `t`, `stamp` or `timestamp`, nanoseconds in `stamp_ns`. Positions
     are `x`, `y` and perhaps `z` in metres, or `lat`, `lon` and perhaps `alt`.
     """
-    lines = [line for line in _lines(path) if line.strip()]
+    lines = [line for line in position_lines(path) if line.strip()]
     names = [name.strip().lower() for name in next(csv.reader(lines[:1]), [])]
     in_ns = [names.index(name) for name in _STAMP_NS if name in names]
     in_s = [names.index(name) for name in _STAMP_S if name in names]
@@ -119,10 +119,12 @@ def read_position_csv(path: Path) -> PositionTable | None:
     positions = np.zeros((len(values), 3))
     positions[:, : len(columns)] = values
     unknown = np.full(len(values), np.nan)
-    return _table(path, np.array(stamps, np.int64), positions, unknown, geodetic is not None)
+    return position_table(
+        path, np.array(stamps, np.int64), positions, unknown, geodetic is not None
+    )
 
 
-def _table(
+def position_table(
     path: Path,
     stamps_ns: Ints,
     values: Floats,
@@ -141,7 +143,8 @@ def _table(
     return PositionTable(unique, values[kept], sigma_m[kept], is_geodetic, is_time_of_day)
 
 
-def _lines(path: Path) -> list[str]:
+def position_lines(path: Path) -> list[str]:
+    """The lines of a text file of positions."""
     missing = "does not exist; give a file of positions"
     not_text = "cannot be read as positions: it is not text"
     return table_text(path, missing, not_text, " as positions").splitlines()

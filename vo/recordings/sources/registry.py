@@ -9,14 +9,16 @@ import logging
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import lfs_pointer_message
 from vo.base.types import Mode
+from vo.recordings.formats.foreign_files import foreign_message
 from vo.recordings.sources.assembly import RecordingContents, assemble
-from vo.recordings.sources.listing import IMAGE_SUFFIXES
+from vo.recordings.sources.listing import IMAGE_SUFFIXES, is_image_name
 from vo.recordings.sources.live.address import parse_address
 from vo.recordings.sources.side_by_side import not_side_by_side, split_side_by_side
 from vo.recordings.sources.source import Recording
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from vo.recordings.sources.logs.log import Log
 
 _log = logging.getLogger(__name__)
+_MAX_ENTRIES = 1000
 
 Gather = Callable[[Path, Path | None, Mode], RecordingContents]
 """Lists a recording that is no log, given path, calibration and mode."""
@@ -165,6 +168,7 @@ def choose_format(path: Path, format: str | None) -> str:
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
     _refuse_lfs_pointer(path)
     name = detect_format(path) if format is None else format
+    _refuse_foreign(path, by_name=False)
     if name not in FORMATS:
         raise SourceError(f"format '{name}' is unknown; known formats: {', '.join(FORMATS)}")
     return name
@@ -181,10 +185,17 @@ def detect_format(path: Path) -> str:
             return name
         if path.is_file() and path.suffix.lower() in entry.suffixes:
             return name
+    _refuse_foreign(path)
     if path.is_file():
         raise SourceError(f"{path} is a file of unknown format; give the folder of a recording")
     if not path.is_dir():
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
+    inside = [entry for entry in sorted(path.iterdir()) if entry.is_dir() and _has_images(entry)]
+    if inside:
+        others = f", or of {', '.join(e.name for e in inside[1:4])}" if inside[1:] else ""
+        raise SourceError(
+            f"folder {path} has no images, but folders with images: give {inside[0]}{others}"
+        )
     looked_for = ", ".join(
         f"{entry.folder_patterns[0]} ({n})" for n, entry in FORMATS.items() if entry.folder_patterns
     )
@@ -206,6 +217,16 @@ def _refuse_live(path: Path) -> None:
 
 def _refuse_lfs_pointer(path: Path) -> None:
     message = lfs_pointer_message(path)
+    if message:
+        raise SourceError(message)
+
+
+def _has_images(folder: Path) -> bool:
+    return any(is_image_name(entry.name) for entry in islice(folder.iterdir(), _MAX_ENTRIES))
+
+
+def _refuse_foreign(path: Path, *, by_name: bool = True) -> None:
+    message = foreign_message(path, by_name=by_name) if by_name or path.is_file() else ""
     if message:
         raise SourceError(message)
 

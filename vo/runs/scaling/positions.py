@@ -13,6 +13,7 @@ from vo.base.errors import SourceError
 from vo.base.types import Floats, Ints
 from vo.recordings.formats.messages import PathMessage, PoseMessage, PositionFixMessage
 from vo.recordings.formats.positions import PositionTable, is_nmea, read_nmea, read_position_csv
+from vo.recordings.formats.track_files import read_track
 from vo.recordings.formats.trajectory import has_stamps, read_trajectory
 from vo.recordings.sources.logs.log import Log, Topic
 from vo.recordings.sources.logs.poses import poses_on_topic
@@ -58,8 +59,8 @@ def read_positions(given: str, recording: str | None = None) -> Positions:
     """Read positions.
 
     Args:
-        given: a text file (NMEA, CSV with names of columns, or a trajectory), a log or
-            `LOG:/TOPIC`, a folder of KITTI's `oxts` or the drive that has it; `auto`, or
+        given: a text file (NMEA, GPX, SRT of a drone, CSV with names of columns, or a trajectory),
+            a log or `LOG:/TOPIC`, a folder of KITTI's `oxts` or the drive that has it; `auto`, or
             `auto:/TOPIC`, for the recording itself.
         recording: path of the recording, None if it has none.
 
@@ -99,7 +100,7 @@ def _log_format(path: Path) -> str:
 def _from_text(path: Path) -> Positions:
     if is_nmea(path):
         return _of_table(read_nmea(path), str(path))
-    table = read_position_csv(path)
+    table = read_track(path) or read_position_csv(path)
     if table is not None:
         return _of_table(table, str(path))
     if not has_stamps(path):

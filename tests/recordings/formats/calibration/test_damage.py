@@ -83,6 +83,7 @@ FILES = {
     "P1: 707.1 0 601.9 -379.8 0 707.1 183.1 0 0 0 1 0\n",
     "COLMAP": COLMAP_HEADER + "1 OPENCV 640 480 600 601 320 240 0.1 0.2 0.3 0.4\n",
     "ZED": ZED,
+    "Camera matrix": "600.5, 0.0, 320.1\n0.0, 601.5, 240.2\n0.0, 0.0, 1.0\n",
     "DSO": "RadTan 600 601 320 240 0.1 0.2 0.003 0.004\n640 480\ncrop\n640 480\n",
     "Basalt": basalt_file("ds", BASALT["ds"][0]),
     "DepthAI": depthai(),

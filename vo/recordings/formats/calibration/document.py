@@ -110,10 +110,7 @@ def load_document(path: Path) -> Document:
             )
         if is_npz:
             return Document(path, "", *_read_archive(read_bytes(path, max_bytes)))
-        if is_json:  # perhaps one long line
-            text = read_bytes(path, max_bytes).decode("utf-8-sig")
-        else:
-            text = read_text(path, max_bytes)
+        text = read_text(path, max_bytes)
     except FileNotFoundError as error:
         raise CalibrationError(f"calibration file {path} does not exist") from error
     except UnicodeDecodeError as error:

@@ -17,6 +17,7 @@ from vo.recordings.formats.calibration import (
     euroc,
     kalibr,
     kitti,
+    matrix,
     nerf,
     opencv,
     orb_slam,
@@ -60,6 +61,7 @@ FORMATS: dict[str, CalibrationFormat] = {
     "OpenCV": CalibrationFormat(opencv.recognises, opencv.read),
     "Kalibr": CalibrationFormat(kalibr.recognises, kalibr.read),
     "EuRoC": CalibrationFormat(euroc.recognises, euroc.read),
+    "Camera matrix": CalibrationFormat(matrix.recognises, matrix.read),
     "DSO": CalibrationFormat(dso.recognises, dso.read),
     "vo": CalibrationFormat(own.recognises, own.read),
 }
