@@ -404,3 +404,18 @@ def nerf(**changes: Any) -> str:
         "w": 640.0, "h": 480.0, "aabb_scale": 16, "frames": frames,
     } | changes  # fmt: skip
     return json.dumps({key: value for key, value in values.items() if value is not None}, indent=2)
+
+
+OPENSFM = """{"v2 own 320 200 brown 0.5": {"projection_type": "brown", "width": 320, "height": 200,
+"focal_x": 0.5, "focal_y": 0.52, "c_x": 0.01, "c_y": -0.02,
+"k1": 0.03, "k2": -0.01, "p1": 0.001, "p2": 0.002, "k3": 0.0}}"""
+GYROFLOW = """{
+  "name": "Own_Cam_Wide_480x320", "camera_model": "Cam", "lens_model": "Rokinon 12mm",
+  "calib_dimension": {"w": 480, "h": 320}, "output_dimension": {"w": 960, "h": 640},
+  "fisheye_params": {"RMS_error": 0.66,
+    "camera_matrix": [[200.0, 0.0, 240.0], [0.0, 201.0, 160.0], [0.0, 0.0, 1.0]],
+    "distortion_coeffs": [0.15, -0.22, 0.23, -0.09], "radial_distortion_limit": null},
+  "use_opencv_fisheye": true, "use_opencv_standard": false,
+  "calib_params": {"RMS_error": 0.0, "camera_matrix": [], "distortion_coeffs": []},
+  "distortion_model": null, "global_shutter": false
+}"""

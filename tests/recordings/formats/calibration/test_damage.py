@@ -9,7 +9,7 @@ from random import Random
 
 import pytest
 from calibration_files import BASALT, COLMAP_HEADER, KITTI_RAW, ORB_FISHEYE, basalt_file
-from foreign_files import CAMODOCAL_MEI, MAPLAB, OKVIS, STELLA, ZED, depthai, nerf
+from foreign_files import CAMODOCAL_MEI, MAPLAB, OKVIS, OPENSFM, STELLA, ZED, depthai, nerf
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -88,6 +88,7 @@ FILES = {
     "Basalt": basalt_file("ds", BASALT["ds"][0]),
     "DepthAI": depthai(),
     "NeRF": nerf(),
+    "OpenSfM": OPENSFM,
     "SVO or maplab": MAPLAB,
     "OKVIS": OKVIS,
     "camodocal": CAMODOCAL_MEI,

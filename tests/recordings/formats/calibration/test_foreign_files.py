@@ -13,8 +13,10 @@ from foreign_files import (
     CAMODOCAL_MEI,
     CAMODOCAL_PINHOLE,
     CAMODOCAL_SCARAMUZZA,
+    GYROFLOW,
     MAPLAB,
     OKVIS,
+    OPENSFM,
     OPENVINS,
     STELLA,
     VINS_FUSION,
@@ -206,12 +208,12 @@ def test_stella_vslam(tmp_path: Path, dotted: bool) -> None:
     assert calibration.kind == "stella_vslam"
     assert calibration.rig.cam0 == Camera(752, 480, 435.2, 435.2, 367.4, 252.2)
     np.testing.assert_allclose(cam1_from_cam0(calibration.rig), shift(-0.11), atol=1e-12)
-    mono = text.replace('"stereo"', '"monocular"').replace("k1: 0.0", "k1: -0.28")
+    mono = text.replace('"stereo"', '"monocular"').replace("k1: 0.0", "k1: -0.18")
     cam0 = read(tmp_path, mono).rig.cam0
-    assert (cam0.distortion_model, cam0.distortion) == ("radtan", (-0.28, 0.0, 0.0, 0.0))
+    assert (cam0.distortion_model, cam0.distortion) == ("radtan", (-0.18, 0.0, 0.0, 0.0))
     fisheye = mono.replace("perspective", "fisheye").replace("p1:", "k4:").replace("p2:", "x:")
     cam0 = read(tmp_path, fisheye).rig.cam0
-    assert (cam0.distortion_model, cam0.distortion) == ("equidistant", (-0.28, 0.0, 0.0, 0.0))
+    assert (cam0.distortion_model, cam0.distortion) == ("equidistant", (-0.18, 0.0, 0.0, 0.0))
     no_size = text.replace("cols", "c").replace("rows", "r")
     assert read(tmp_path, no_size, size=(640, 480)).rig.cam0.width == 640
 
@@ -323,3 +325,35 @@ def test_okvis(tmp_path: Path) -> None:
 def test_errors_of_okvis(tmp_path: Path, old: str, new: str, expected: str) -> None:
     assert old in OKVIS
     assert expected in read_error(tmp_path, OKVIS.replace(old, new, 1))
+
+
+# OpenSfM, OpenDroneMap and Gyroflow
+
+
+def test_opensfm(tmp_path: Path) -> None:
+    brown = Camera(320, 200, 160.0, 166.4, 162.7, 93.1, "radtan", (0.03, -0.01, 0.001, 0.002, 0.0))
+    cam0 = read(tmp_path, OPENSFM, "cameras.json").rig.cam0
+    assert (cam0.distortion_model, cam0.distortion) == ("radtan", brown.distortion)
+    for name in ("width", "height", "fx", "fy", "cx", "cy"):
+        assert getattr(cam0, name) == pytest.approx(getattr(brown, name)), name
+    one_focal = '{"c": {"width": 640, "height": 480, "focal": 0.85, "k1": 0.0, "k2": 0.0}}'
+    cam0 = read(tmp_path, one_focal, "camera_models.json").rig.cam0
+    assert cam0 == Camera(640, 480, 544.0, 544.0, 319.5, 239.5)
+    fisheye = one_focal.replace('"k1"', '"projection_type": "fisheye", "k1"')
+    assert read(tmp_path, fisheye).rig.cam0.distortion_model == "equidistant"
+    two = f"{one_focal[:-1]}, {OPENSFM[1:]}"
+    assert read(tmp_path, two, size=(640, 480)).rig.cam0.fx == 544.0
+    assert "has 2 cameras, c, v2 own" in read_error(tmp_path, two)
+    assert "projection_type 'spherical'" in read_error(
+        tmp_path, fisheye.replace("fisheye", "spherical")
+    )
+
+
+def test_a_section_called_fisheye_says_the_model(tmp_path: Path) -> None:
+    expected = Camera(
+        480, 320, 200.0, 201.0, 240.0, 160.0, "equidistant", (0.15, -0.22, 0.23, -0.09)
+    )
+    assert read(tmp_path, GYROFLOW, "profile.json").rig.cam0 == expected
+    assert "cannot be undone in 52% of the image" in read_error(
+        tmp_path, GYROFLOW.replace("fisheye_params", "params").replace("lens_model", "lens")
+    )

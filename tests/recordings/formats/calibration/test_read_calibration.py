@@ -161,6 +161,8 @@ def test_other_spellings_of_distortion_models(tmp_path: Path, name: str) -> None
         ("240]", "true]", "number 4 is True"),
         ("500,", "0,", "focal length is 0, 501; it must be above 0"),
         ("501,", "-501,", "focal length is 500, -501"),
+        ("500, 501, 320, 240", "0.78, 1.04, 0.5, 0.5", "in pixels of the 640x480 image: multiply"),
+        ("500, 501, 320, 240", "772.9, 1, 0, 0", "focal length is 772.9, 1;"),
         ("320,", "32000,", "principal point (32000, 240) is far outside the 640x480 image"),
         ("240]", "-500]", "principal point (320, -500) is far outside"),
         ("500, 501,", "500,", "has 3 numbers; 4 are needed"),

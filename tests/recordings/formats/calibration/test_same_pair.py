@@ -69,7 +69,7 @@ def test_same_pair_in_three_formats(tmp_path: Path) -> None:
     ("intrinsics", "expected"),
     [
         ("[500, 500, -20, 240]", "principal point (-20, 240) is outside the 640x480 image"),
-        ("[0.78, 0.79, 0.5, 0.5]", "field of view of 180 degrees; check the unit"),
+        ("[40, 40, 320, 240]", "field of view of 166 degrees; check the unit"),
         ("[20000, 20000, 320, 240]", "field of view of 1.83 degrees"),
         ("[500, 500, 320, 240]", ""),
     ],

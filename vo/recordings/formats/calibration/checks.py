@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from vo.base.errors import CalibrationError
-from vo.base.geometry.distortion import centre_scale
+from vo.base.geometry.distortion import angle_reach, centre_scale, undistort_rays
 from vo.base.geometry.transforms import inverse, make_transform, orthonormalised
 from vo.base.types import Camera, Floats, ImuNoise, Rig
 from vo.recordings.formats.calibration.document import ImageSize
@@ -35,10 +35,14 @@ from vo.recordings.formats.warning_kinds import warning_kind
 
 _MIN_BASELINE_M = 1e-6
 _MAX_BASELINE_M = 10.0
-_MIN_FOCAL_PX = 1e-3
+_MIN_FOCAL_RATIO = 0.03
+"""Focal length over image size below which it is in another unit: a view of 173 degrees."""
 _MAX_READOUT_S = 0.2
 _PLAUSIBLE_FOCAL_RATIO = (0.1, 20.0)
 """Focal length over image width: pinhole cameras with fields of view of 157 and 3 degrees."""
+_GRID = 15
+_MAX_FOLDED, _SOME_FOLDED = 0.3, 0.15
+"""Parts of the image in which a lens cannot be undone: of a wrong model, or doubtful corners."""
 _MAX_ROUNDING = 1e-6
 _MAX_SKEW_PX = 1.0
 _ZERO_IS_NONE = (None, "", "none", "radtan", "plumb_bob", "rational_polynomial")
@@ -254,9 +258,11 @@ def _row(numbers: Floats) -> str:
 
 
 def _check_pinhole(where: str, camera: Camera) -> None:
-    if min(camera.fx, camera.fy) < _MIN_FOCAL_PX:
+    if min(camera.fx / camera.width, camera.fy / camera.height) < _MIN_FOCAL_RATIO:
         raise CalibrationError(
-            f"{where}: focal length is {camera.fx:g}, {camera.fy:g}; it must be above 0 pixels"
+            f"{where}: focal length is {camera.fx:g}, {camera.fy:g}; it must be above 0, and in "
+            f"pixels of the {camera.width}x{camera.height} image: multiply one relative to the "
+            "image by its size, divide one in millimetres by the size of a pixel"
         )
     off_u = _outside(camera.cx, camera.width)
     off_v = _outside(camera.cy, camera.height)
@@ -286,6 +292,37 @@ def _check_pinhole(where: str, camera: Camera) -> None:
             camera.width,
             field_of_view_deg,
         )
+    _check_reach(where, camera)
+
+
+def _check_reach(where: str, camera: Camera) -> None:
+    """Refuse a lens that cannot be undone in much of the image; warn if in a part.
+
+    Fisheye images are often a disc, so that only the largest one in the image has to have rays.
+    """
+    if camera.distortion_model not in ("radtan", "equidistant"):
+        return
+    is_fisheye = camera.distortion_model == "equidistant"
+    if is_fisheye and angle_reach(camera.distortion) >= np.pi / 2:
+        return
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.5, 0.5, _GRID)] * 2))
+    size = np.array([camera.width, camera.height])
+    if is_fisheye:
+        inside = np.hypot(u, v) <= 0.5
+        u, v, size = u[inside], v[inside], np.array([size.min(), size.min()])
+    pixels = np.column_stack([u, v]) * size + np.array([camera.width, camera.height]) / 2
+    points = (pixels - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    ratio = float(np.isnan(undistort_rays(camera, points)[:, 0]).mean())
+    if ratio <= _SOME_FOLDED:
+        return
+    text = (
+        f"{where}: the lens with {camera.distortion_model} {_row(np.array(camera.distortion))} "
+        f"cannot be undone in {ratio:.0%} of the image; check the model and the order of the "
+        "coefficients (radtan: k1, k2, p1, p2, k3; equidistant, for fisheye lenses: k1 to k4)"
+    )
+    if ratio > _MAX_FOLDED:
+        raise CalibrationError(text)
+    _log.warning("%s", text)
 
 
 def _outside(centre: float, size: int) -> float:

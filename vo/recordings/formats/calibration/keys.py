@@ -40,6 +40,7 @@ _SIZES = (
 )  # fmt: skip
 _SIZE_LISTS = (
     "imagesize", "resolution", "imgsize", "imageresolution", "framesize", "imagedimensions", "size",
+    "calibdimension", "calibrationdimension", "dimension", "dimensions",
 )  # fmt: skip
 _RADTAN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _EQUIDISTANT = ("k1", "k2", "k3", "k4")
@@ -55,6 +56,9 @@ _SECTIONS = {
     "camera2": "camera2", "stereo": "", "extrinsics": "", "extrinsic": "",
 }  # fmt: skip
 """Sections, and the mark of the camera that their values have; none for those of the pair."""
+_FISHEYE_SECTIONS = ("fisheye", "equidistant", "kannalabrandt")
+SECTION_MODEL = "distortionmodelofsection"
+"""Key of the model that the name of a section says, such as `fisheye_params`."""
 _MAX_LISTED = 12
 
 
@@ -166,9 +170,11 @@ def camera_values(data: Mapping[str, Any]) -> Values:
             f"sections {', '.join(inside)[:200]} each have a camera; name them left and right, or "
             "give a file with one camera"
         )
-    for section in inside.values():
-        others = {key: v for key, v in data.items() if not isinstance(v, Mapping) or "data" in v}
-        return Values(others | dict(section))
+    for name, section in inside.items():
+        others = {key: v for key, v in data.items() if key not in inside}
+        is_fisheye = any(word in normalised(name) for word in _FISHEYE_SECTIONS)
+        said = {SECTION_MODEL: "equidistant"} if is_fisheye else {}
+        return Values(others | said | dict(section))
     return values
 
 

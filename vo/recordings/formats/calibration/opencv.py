@@ -139,6 +139,8 @@ def _lens_model(where: str, values: Values, side: str) -> str:
     flag = values.find(("fisheyemodel", "isfisheye", "fisheye"), lambda v: not keys.is_array(v))
     if flag is not None and str(flag.value).strip().lower() not in ("0", "false", "no", ""):
         return "equidistant"
+    if values.find((keys.SECTION_MODEL,)) is not None:
+        return "equidistant"
     for names, is_text in ((keys.LENS_MODEL, False), (keys.CAMERA_MODEL, True)):
         entry = values.find(keys.spelled(names, side)) or values.find(names)
         if entry is None:
