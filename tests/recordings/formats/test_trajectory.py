@@ -169,15 +169,14 @@ def test_incomplete_last_line_is_left_out(
         (TUM + "2.5 1 1e13 3 0 0 0 1\n", r"path\.txt:2: column 3 is 1e13"),
         (TUM + "2.5 1 x 3 0 0 0 1\n", r"path\.txt:2: could not convert.*'x'"),
         (TUM + "1.25 1 2 3 0 0 0 1\n", r"path\.txt:2: stamp goes back by 0\.25 s"),
-        ("soon 1 2 3 0 0 0 1\n", r"path\.txt:1: 'soon' is not a number of seconds"),
-        ("nan 1 2 3 0 0 0 1\n", r"path\.txt:1: nan is out of range for seconds"),
+        ("soon 1 2 3 0 0 0 1\n", r"path\.txt:1: stamp 'soon' is not a number of seconds"),
+        ("nan 1 2 3 0 0 0 1\n", r"path\.txt:1: stamp nan is out of range for seconds"),
         ("1e99999999 1 2 3 0 0 0 1\n", "out of range"),
-        ("1600000000000000000 1 2 3 0 0 0 1\n", "out of range"),
         ("1 2 3\n", r"path\.txt:1: 3 columns are not a trajectory"),
         (KITTI + "1 0 0 4 0 2 0 5 0 0 1 6\n", r"path\.txt:2: the 3x3 part is not a rotation"),
         (KITTI + "1 0 0 4 0 1 0 5 0 0 -1 6\n", r"path\.txt:2: the 3x3 part is not a rotation"),
         ("1.5,1,2,3,1,0,0,0\n", r"stamp '1\.5' is not a whole number of nanoseconds"),
-        ("1" * 40 + ",1,2,3,1,0,0,0\n", "is not a whole number of nanoseconds"),
+        ("1" * 40 + ",1,2,3,1,0,0,0\n", "too large for a time in nanoseconds"),
     ],
 )
 def test_error_names_the_damaged_line(tmp_path: Path, text: str, message: str) -> None:

@@ -18,6 +18,7 @@ from vo.base.errors import SourceError
 from vo.base.faults import Fault, FaultKind
 from vo.recordings.formats.messages import ImageMessage, Message, PoseMessage
 from vo.recordings.formats.stamp_units import StampText, StampUnit, parse_stamps
+from vo.recordings.formats.trajectory import read_trajectory
 from vo.recordings.sources.logs.stamps import in_order_of_log, with_log_time
 from vo.recordings.sources.registry import open_source
 
@@ -224,3 +225,64 @@ def test_tables_in_other_units_of_each_layout(tmp_path: Path) -> None:
         source = open_source(tmp_path / name)
         assert np.abs(source.stamps_ns - layouts.STAMPS_NS).max() < 1_000_000
         assert FaultKind.OTHER_STAMP_UNIT in {fault.kind for fault in source.faults}
+
+
+TIMES_NS = [1_600_000_000_009_658_000 + i * 50_000_000 for i in range(25)]
+
+
+def unpadded(stamp_ns: int) -> str:
+    return f"{stamp_ns // 10**9}.{stamp_ns % 10**9}"
+
+
+NOTATIONS = {
+    "%d.%d": unpadded,
+    "%d.%d of microseconds": lambda stamp: f"{stamp // 10**9}.{stamp % 10**9 // 1000}",
+    "%d%d": lambda stamp: f"{stamp // 10**9}{stamp % 10**9}",
+    "%f": lambda stamp: f"{stamp}.000000",
+    "%.18e": lambda stamp: f"{stamp:.18e}",
+}
+
+
+@pytest.mark.parametrize("notation", NOTATIONS)
+@pytest.mark.parametrize("place", ["names", "rgb.txt", "data.csv", "trajectory", "EuRoC truth"])
+def test_notations_that_mislead(
+    tmp_path: Path, notation: str, place: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    texts = [NOTATIONS[notation](stamp) for stamp in TIMES_NS]
+    images = [f"{'image_raw_' if place == 'names' else ''}{text}.png" for text in texts]
+    folder = tmp_path / "mav0/cam0/data" if place == "data.csv" else tmp_path / "images"
+    if place in ("names", "rgb.txt", "data.csv"):
+        for i, name in enumerate(images):
+            layouts.write_image(folder / name, layouts.image(i))
+        layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
+        rows = [f"{text} images/{name}\n" for text, name in zip(texts, images, strict=True)]
+        if place == "rgb.txt":
+            layouts.write_text(tmp_path / place, "".join(rows))
+        if place == "data.csv":
+            table = "".join(f"{text},{name}\n" for text, name in zip(texts, images, strict=True))
+            layouts.write_text(folder.parent / place, table)
+        source = open_source(tmp_path)
+        assert [frame.image0[0, 0] for frame in source.frames()] == list(range(len(texts)))
+        stamps_ns = source.stamps_ns
+    else:
+        mark = "," if "EuRoC" in place else " "
+        rows = [mark.join([text, str(i), *"000001"]) for i, text in enumerate(texts)]
+        layouts.write_text(tmp_path / "a.txt", "\n".join(rows))
+        stamps_ns = read_trajectory(tmp_path / "a.txt").stamps_ns
+    np.testing.assert_allclose(stamps_ns - TIMES_NS[0], np.array(TIMES_NS) - TIMES_NS[0], atol=300)
+    assert ("without leading zeros" in caplog.text) == ("%d" in notation)
+
+
+@pytest.mark.parametrize("digits", [3, 6, 9])
+def test_decimals_whose_last_zeros_are_left_out(digits: int) -> None:
+    """As Python writes numbers; a fraction that begins with a zero would tell them apart."""
+    stamps_ns = [TRUE_NS[0] // 10**6 * 10**6 + i * 7_003_000 for i in range(12)]
+    stamps_ns = [stamp // 10 ** (9 - digits) * 10 ** (9 - digits) for stamp in stamps_ns]
+    texts = [layouts.seconds(stamp).rstrip("0") for stamp in stamps_ns]
+    assert parse_stamps([StampText("t:1", text) for text in texts], "s") == stamps_ns
+
+
+def test_stamps_with_too_few_digits() -> None:
+    stamps = [StampText(f"t:{i}", f"{stamp:g}") for i, stamp in enumerate(TIMES_NS)]
+    with pytest.raises(SourceError, match=r"such as 1\.6e\+18 have too few digits"):
+        parse_stamps(stamps, "s")

@@ -13,7 +13,14 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.types import Floats, Ints
-from vo.recordings.formats.stamp_units import stamp_ns_from_seconds
+from vo.recordings.formats.stamp_units import (
+    POSES,
+    STATED,
+    StampText,
+    StampUnit,
+    parse_stamps,
+    stamp_ns_from_seconds,
+)
 from vo.recordings.formats.table import table_text
 
 _log = logging.getLogger(__name__)
@@ -110,7 +117,7 @@ def read_position_csv(path: Path) -> PositionTable | None:
     for number, row in enumerate(csv.reader(lines[1:]), start=2):
         try:
             text = row[(in_ns or in_s)[0]].strip()
-            stamps.append(int(text) if in_ns else stamp_ns_from_seconds(text))
+            stamps.append(StampText(f"{path}:{number}", text))
             values.append([float(row[column]) for column in columns])
         except (ValueError, IndexError) as error:
             raise SourceError(f"{path}:{number}: {error}; give numbers in every line") from error
@@ -119,9 +126,10 @@ def read_position_csv(path: Path) -> PositionTable | None:
     positions = np.zeros((len(values), 3))
     positions[:, : len(columns)] = values
     unknown = np.full(len(values), np.nan)
-    return position_table(
-        path, np.array(stamps, np.int64), positions, unknown, geodetic is not None
-    )
+    unit: StampUnit
+    unit, spacing = ("ns", STATED) if in_ns else ("s", POSES)
+    stamps_ns = np.array(parse_stamps(stamps, unit, spacing=spacing), np.int64)
+    return position_table(path, stamps_ns, positions, unknown, geodetic is not None)
 
 
 def position_table(

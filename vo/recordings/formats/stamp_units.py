@@ -1,8 +1,9 @@
-"""Units of stamps in tables: seconds or nanoseconds, unless the rate of images says otherwise."""
+"""Stamps as text, of tables, names of files and trajectories: units, notations, missing zeros."""
 
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from typing import Literal, NamedTuple
@@ -19,13 +20,38 @@ MAX_STAMP_NS = 2**63 - 1
 MIN_INTERVAL_NS, MAX_INTERVAL_NS = 500_000, 10_000_000_000
 """Other intervals between images are implausible for odometry (2,000 Hz, and 0.1 Hz)."""
 
-_USUAL_INTERVAL_NS = (2_000_000, 1_000_000_000)
 _NS_PER_S = 1_000_000_000
 _MAX_S = 9_000_000_000
+_MAX_DIGITS = 40
 _WORDS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds", "s": "seconds"}
-_MIN_DIGITS_NS = 12
-_MIN_UNLIKE_SECONDS = Decimal(10) ** 11
-"""As seconds, this would be in the year 5138."""
+_MIN_LONG = Decimal(10) ** 11
+"""As seconds, this would be in the year 5138; whole numbers of this size may be nanoseconds."""
+
+_PARTS = re.compile(r"(\d+)\.(\d+)")
+_JOINED = re.compile(r"(\d{10})(\d{1,9})")
+_WIDTHS = (3, 6, 9)  # digits of milli-, micro- and nanoseconds
+
+
+class Spacing(NamedTuple):
+    """Intervals of what has stamps, in nanoseconds.
+
+    Attributes:
+        what: the word for it in messages.
+        least_ns, most_ns: what is plausible in the usual unit; else another unit is looked for,
+            in which the interval lies in `usual_ns`.
+    """
+
+    what: str
+    least_ns: int
+    most_ns: int
+    usual_ns: tuple[int, int]
+
+
+IMAGES = Spacing("images", MIN_INTERVAL_NS, MAX_INTERVAL_NS, (2_000_000, 1_000_000_000))
+NAMES = Spacing("images", 2_000_000, 20_000_000_000, (2_000_000, 20_000_000_000))
+POSES = Spacing("poses", 10_000, 10_000_000_000_000, (1_000_000, 10_000_000_000))
+STATED = Spacing("stamps", 0, MAX_STAMP_NS, (0, 0))  # the unit is known
+SAMPLES = Spacing("samples", 20_000, 500_000_000, (500_000, 100_000_000))
 
 
 class StampText(NamedTuple):
@@ -36,32 +62,92 @@ class StampText(NamedTuple):
 
 
 def parse_stamps(
-    stamps: Sequence[StampText], unit: StampUnit, faults: list[Fault] | None = None
+    stamps: Sequence[StampText],
+    unit: StampUnit,
+    faults: list[Fault] | None = None,
+    spacing: Spacing = IMAGES,
 ) -> list[int]:
-    """Convert the stamps of images to nanoseconds.
+    """Convert stamps to nanoseconds.
 
-    They have the usual unit of their table, unless images would then be implausibly far apart or
-    close together, and the numbers fit another unit; this is reported by a warning. Whole numbers
-    with twelve or more digits may be nanoseconds in a table of seconds.
+    They have the usual unit of their table, unless intervals would then be implausible, and the
+    numbers fit another unit; this is reported by a warning. Whole numbers with twelve or more
+    digits, with zeros as decimals or an exponent, too, may be nanoseconds in a table of seconds.
+    Fractions without leading zeros, as `%d.%d` writes them, are completed, with a warning.
 
     `faults`: receives another unit.
     """
-    values = [_number(stamp) for stamp in stamps]
-    are_whole = all(stamp.text.isascii() and stamp.text.isdigit() for stamp in stamps)
-    are_long = are_whole and all(len(stamp.text) >= _MIN_DIGITS_NS for stamp in stamps)
+    stamps = _completed(stamps)
+    numbers = [_number(stamp.text) for stamp in stamps]
+    values = [number or Decimal(0) for number in numbers]
+    are_whole = all(value == value.to_integral_value() for value in values)
+    are_long = are_whole and all(value >= _MIN_LONG for value in values)
     usual: StampUnit = "ns" if are_long else unit
-    found = _unit_that_fits(values, usual, are_whole)
-    if found not in (unit, usual):
-        _report_unit(stamps[0], _interval(values) * NS_PER_UNIT[unit], unit, found, faults)
-    return [_nanoseconds(stamp, found) for stamp in stamps]
+    has_points = any("." in stamp.text for stamp in stamps)
+    found = _unit_that_fits(values, usual, are_whole and not has_points, spacing)
+    if found not in (unit, usual) and spacing is not NAMES:
+        _report_unit(stamps[0], _interval(values) * NS_PER_UNIT[unit], unit, found, spacing, faults)
+    parsed = [
+        _nanoseconds(stamp, number, found) for stamp, number in zip(stamps, numbers, strict=True)
+    ]
+    if any("e" in stamp.text.lower() for stamp in stamps) and len(set(parsed)) < len(parsed):
+        raise SourceError(
+            f"{stamps[0].location}: stamps such as {stamps[0].text} have too few digits to be told "
+            "apart; write them with all digits"
+        )
+    return parsed
 
 
-def _number(stamp: StampText) -> Decimal:
+def _completed(stamps: Sequence[StampText]) -> Sequence[StampText]:
+    """Stamps with the zeros that `%d.%d` or `%d%d` of seconds and nanoseconds leaves out.
+
+    Then fractions have different lengths, but none begins with a zero; completed, the stamps
+    increase in the order of the file, or their intervals differ less.
+    """
+    texts = [stamp.text for stamp in stamps]
+    lengths = {len(text) for text in texts}
+    is_joined = len(lengths) > 1 and max(lengths) == 19
+    parts = [(_JOINED if is_joined else _PARTS).fullmatch(text) for text in texts]
+    found = [(part[1], part[2]) for part in parts if part is not None]
+    digits = [fraction for _, fraction in found]
+    width = max(map(len, digits), default=0)
+    if (
+        len(found) < len(texts)
+        or width not in _WIDTHS
+        or min(map(len, digits)) == width
+        or any(fraction[0] == "0" and len(fraction) > 1 for fraction in digits)
+    ):
+        return stamps
+    completed = [f"{whole}.{fraction:0>{width}}" for whole, fraction in found]
+    before, after = [*map(Decimal, texts)], [*map(Decimal, completed)]
+    is_ordered = after == sorted(after) and before != sorted(before)
+    if not (is_ordered and _irregular(after) <= _irregular(before)) and (
+        _irregular(after) >= _irregular(before)
+    ):
+        return stamps
+    shortest = min(range(len(texts)), key=lambda number: len(digits[number]))
+    _log.warning(
+        "%s: fractions of a second are written without leading zeros; %s is read as %s",
+        stamps[shortest].location,
+        texts[shortest],
+        completed[shortest],
+    )
+    return [StampText(stamp.location, text) for stamp, text in zip(stamps, completed, strict=True)]
+
+
+def _irregular(values: Sequence[Decimal]) -> int:
+    """Number of intervals that differ from the median by more than half of it."""
+    ordered, usual = sorted(values), _interval(values)
+    steps = [b - a for a, b in zip(ordered, ordered[1:], strict=False)]
+    return sum(abs(step - usual) * 2 > usual for step in steps)
+
+
+def _number(text: str) -> Decimal | None:
+    """The number, or None for what is none, or too large for any time."""
     try:
-        value = Decimal(stamp.text)
+        value = Decimal(text)
     except InvalidOperation:
-        value = Decimal("NaN")
-    return value if value.is_finite() else Decimal(0)  # refused by `_nanoseconds`
+        return None
+    return value if value.is_finite() and value.adjusted() <= _MAX_DIGITS else None
 
 
 def _interval(values: Sequence[Decimal]) -> Decimal:
@@ -71,12 +157,15 @@ def _interval(values: Sequence[Decimal]) -> Decimal:
     return steps[(len(steps) - 1) // 2] if steps else Decimal(0)
 
 
-def _unit_that_fits(values: Sequence[Decimal], usual: StampUnit, are_whole: bool) -> StampUnit:
+def _unit_that_fits(
+    values: Sequence[Decimal], usual: StampUnit, are_whole: bool, spacing: Spacing
+) -> StampUnit:
     interval, largest = _interval(values), max(map(abs, values))
-    low, high = _USUAL_INTERVAL_NS
-    if not interval or MIN_INTERVAL_NS <= interval * NS_PER_UNIT[usual] <= MAX_INTERVAL_NS:
+    low, high = spacing.usual_ns
+    fits = spacing.least_ns <= interval * NS_PER_UNIT[usual] <= spacing.most_ns
+    if not interval or (fits and largest * NS_PER_UNIT[usual] <= MAX_STAMP_NS):
         return usual
-    if not are_whole and largest < _MIN_UNLIKE_SECONDS:
+    if usual == "s" and not are_whole and largest < _MIN_LONG:
         return usual  # slow, but like seconds
     for unit, factor in NS_PER_UNIT.items():
         if low <= interval * factor <= high and largest * factor <= MAX_STAMP_NS:
@@ -84,15 +173,15 @@ def _unit_that_fits(values: Sequence[Decimal], usual: StampUnit, are_whole: bool
     return usual
 
 
-def _nanoseconds(stamp: StampText, unit: StampUnit) -> int:
+def _nanoseconds(stamp: StampText, number: Decimal | None, unit: StampUnit) -> int:
     try:
-        if unit == "s":
-            value = stamp_ns_from_seconds(stamp.text)
-        elif unit == "ns":
+        if unit == "ns" and (number is None or number != number.to_integral_value()):
             value = parse_ns(stamp.text)
+        elif unit == "s" or number is None:
+            value = stamp_ns_from_seconds(stamp.text)
         else:
-            value = int((Decimal(stamp.text) * NS_PER_UNIT[unit]).to_integral_value())
-    except (ValueError, InvalidOperation) as error:
+            value = int((number * NS_PER_UNIT[unit]).to_integral_value())
+    except ValueError as error:
         raise SourceError(f"{stamp.location}: stamp {error}") from error
     if abs(value) > MAX_STAMP_NS:
         raise SourceError(
@@ -144,13 +233,15 @@ def _report_unit(
     interval_ns: Decimal,
     unit: StampUnit,
     found: StampUnit,
+    spacing: Spacing,
     faults: list[Fault] | None,
 ) -> None:
     interval_s = float(interval_ns) * 1e-9
     _log.warning(
-        "%s: as %s, images would be %.3g s apart; the stamps are read as %s",
+        "%s: as %s, %s would be %.3g s apart; the stamps are read as %s",
         first.location.rpartition(":")[0] or first.location,
         _WORDS[unit],
+        spacing.what,
         interval_s,
         _WORDS[found],
     )

@@ -14,14 +14,13 @@ from vo.base.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xy
 from vo.base.printable import counted
 from vo.base.types import Floats, Ints, Trajectory
 from vo.recordings.formats.calibration.nerf import read_nerf_poses
-from vo.recordings.formats.stamp_units import StampText, parse_stamps, stamp_ns_from_seconds
+from vo.recordings.formats.stamp_units import POSES, StampText, StampUnit, parse_stamps
 from vo.recordings.formats.table import Line, check_columns, parse_columns, read_table
 
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "tartanair", "nerf"]
 
 _log = logging.getLogger(__name__)
 _NS_PER_S = 1_000_000_000
-_MAX_S = 9_000_000_000
 _TUM_COLUMNS = 8
 _KITTI_COLUMNS = 12
 _EUROC_COLUMNS = 8
@@ -84,7 +83,7 @@ def read_tum(path: Path | str) -> Trajectory:
     """Read `stamp tx ty tz qx qy qz qw` lines, stamps in decimal seconds."""
     lines = read_table(Path(path))
     check_columns(lines, _TUM_COLUMNS, exactly=True)
-    stamps = _seconds_column(lines)
+    stamps = _stamps(lines, "s")
     values = parse_columns(lines, 1, _TUM_COLUMNS)
     return _trajectory(lines, stamps, values[:, :3], values[:, 3:7])
 
@@ -96,10 +95,10 @@ def read_euroc(path: Path | str) -> Trajectory:
     """
     lines = read_table(Path(path))
     check_columns(lines, _EUROC_COLUMNS, exactly=False)
-    stamps = [_whole_ns(line) for line in lines]
+    stamps = _stamps(lines, "ns")
     values = parse_columns(lines, 1, _EUROC_COLUMNS)
     quat_xyzw = values[:, [4, 5, 6, 3]]
-    return _trajectory(lines, np.array(stamps, dtype=np.int64), values[:, :3], quat_xyzw)
+    return _trajectory(lines, stamps, values[:, :3], quat_xyzw)
 
 
 def read_four_seasons(path: Path | str) -> Trajectory:
@@ -110,7 +109,7 @@ def read_four_seasons(path: Path | str) -> Trajectory:
     """
     lines = read_table(Path(path))
     check_columns(lines, _EUROC_COLUMNS, exactly=False)
-    stamps = np.array([_whole_ns(line) for line in lines], dtype=np.int64)
+    stamps = _stamps(lines, "ns")
     values = parse_columns(lines, 1, _EUROC_COLUMNS)
     return _trajectory(lines, stamps, values[:, :3], values[:, 3:7])
 
@@ -223,23 +222,9 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def _seconds_column(lines: list[Line]) -> Ints:
-    stamps = []
-    for line in lines:
-        try:
-            stamps.append(stamp_ns_from_seconds(line.fields[0]))
-        except ValueError as error:
-            raise SourceError(
-                f"{line.location}: {error}; write stamps like 12.345678901"
-            ) from error
-    return np.array(stamps, dtype=np.int64)
-
-
-def _whole_ns(line: Line) -> int:
-    text = line.fields[0]
-    if not text.lstrip("-").isdecimal() or len(text) > len(str(_MAX_S * _NS_PER_S)):
-        raise SourceError(f"{line.location}: stamp '{text}' is not a whole number of nanoseconds")
-    return int(text)
+def _stamps(lines: list[Line], unit: StampUnit) -> Ints:
+    texts = [StampText(line.location, line.fields[0]) for line in lines]
+    return np.array(parse_stamps(texts, unit, spacing=POSES), dtype=np.int64)
 
 
 def _trajectory(lines: list[Line], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floats) -> Trajectory:

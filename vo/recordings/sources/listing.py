@@ -6,26 +6,25 @@ import os
 import re
 import statistics
 from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import NamedTuple
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
 from vo.recordings.formats.stamp_units import (
-    MAX_STAMP_NS,
-    NS_PER_UNIT,
+    NAMES,
     StampText,
     StampUnit,
     parse_stamps,
-    stamp_ns_from_seconds,
 )
 from vo.recordings.formats.table import table_text
 from vo.recordings.sources.images import ImageFile, StoredImage
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _MISSING = "is missing; it should contain the stamps"
-_MIN_INTERVAL_NS = 2_000_000
-_MAX_INTERVAL_NS = 20_000_000_000
+_TIME_IN_NAME = re.compile(r"(\d{10}[_-]\d{1,9}|\d+(?:\.\d+)?(?:e\+?\d+)?)\D*$")
+_SECONDS_AND_REST = re.compile(r"(\d{10})[_-](\d+)")
 _MIN_STAMP = 1_000_000_000  # smaller integers are counters, not times
 
 
@@ -160,37 +159,29 @@ def median_interval_ns(stamps_ns: Sequence[int]) -> int:
 
 
 def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
-    """Read stamps from file names that end in a time; None if they do not.
+    """Read stamps from file names that contain a time last; None if they do not.
 
-    Numbers with a decimal point are seconds. Integers from 10^9 are nanoseconds, microseconds,
+    Numbers with decimals are seconds. Whole numbers from 10^9 are nanoseconds, microseconds,
     milliseconds or seconds: the first unit with a median interval from 2 ms to 20 s.
     """
-    found = [re.search(r"\d+(\.\d+)?$", path.stem) for path in images]
-    numbers = [match.group() for match in found if match is not None]
-    if len(images) < 2 or len(numbers) < len(images):
+    found = [_TIME_IN_NAME.search(path.stem) for path in images]
+    texts = [_SECONDS_AND_REST.sub(r"\1.\2", each[1]) for each in found if each is not None]
+    if len(images) < 2 or len(texts) < len(images):
         return None
-    stamps_ns = _stamps_of_numbers(numbers)
-    if stamps_ns is None or max(stamps_ns) > MAX_STAMP_NS:
+    numbers = [Decimal(text) for text in texts]
+    is_seconds = any(number != number.to_integral_value() for number in numbers)
+    if min(numbers) < _MIN_STAMP and not any("." in text for text in texts):
+        return None
+    stamps = [StampText(f"file {f}", text) for f, text in zip(images, texts, strict=True)]
+    try:
+        stamps_ns = parse_stamps(stamps, "s" if is_seconds else "ns", spacing=NAMES)
+    except SourceError:
+        return None
+    if not NAMES.least_ns <= median_interval_ns(stamps_ns) <= NAMES.most_ns:
         return None
     pairs = sorted(zip(stamps_ns, images, strict=True), key=lambda pair: pair[0])
     files = [file for _, file in pairs]
     return make_shots([stamp for stamp, _ in pairs], files, [f"file {file}" for file in files])
-
-
-def _stamps_of_numbers(numbers: Sequence[str]) -> list[int] | None:
-    is_decimal = any("." in number for number in numbers)
-    if not is_decimal and min(int(number) for number in numbers) < _MIN_STAMP:
-        return None
-    for unit, factor in NS_PER_UNIT.items():
-        if unit == "s":
-            stamps = [stamp_ns_from_seconds(number) for number in numbers]
-        elif not is_decimal:
-            stamps = [int(number) * factor for number in numbers]
-        else:
-            continue
-        if _MIN_INTERVAL_NS <= median_interval_ns(stamps) <= _MAX_INTERVAL_NS:
-            return stamps
-    return None
 
 
 def shots_from_times(
