@@ -30,7 +30,7 @@ def calibrate_imu_noise(request: Request) -> None:
         samples = sensor.read()
         result = measure_noise(samples.stamps_ns, samples.gyro, samples.accel)
     if picture is not None:
-        from vo.tools.calibrating.allan_plot import save_allan_plot
+        from vo.tools.calibrating.plots import save_allan_plot
 
         save_allan_plot(picture, result)
     write_kalibr(output, result, sensor.name if sensor.name.startswith("/") else "/imu0")

@@ -29,8 +29,13 @@ from vo.tools.inspection.records import (
     TruthReport,
 )
 from vo.tools.inspection.stamps import pair_report, timing_of
-from vo.tools.inspection.stereo import compare_stereo_images, rectified_cameras
-from vo.tools.inspection.time_offset import NumberedPair, is_suspect, time_offset_ms
+from vo.tools.inspection.stereo import (
+    NumberedPair,
+    compare_stereo_images,
+    is_suspect,
+    rectified_cameras,
+    time_offset_ms,
+)
 
 DEFAULT_IMAGES = 24
 _STEREO_PAIRS = 6

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,9 +13,11 @@ from vo.base.errors import CalibrationError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparityFit
 from vo.base.records.calibration_errors import RightCameraError
-from vo.base.types import Bytes, Floats, Rig
+from vo.base.types import Bytes, Floats, Ints, Rig
 from vo.engine.frontend.pair_check import TURNS, disparity_signs
+from vo.engine.frontend.pair_matching import PairPoints
 from vo.engine.frontend.same_view import is_same_view
+from vo.engine.frontend.time_offset import TimeOffsetEstimator
 from vo.engine.geometry.right_camera_error import is_worth_correcting, right_camera_error
 from vo.tools.inspection.image_records import StereoReport
 
@@ -145,3 +148,50 @@ def rectified_cameras(rig: Rig | None) -> RectifiedRig | None:
         return rectified_rig(rig)
     except CalibrationError:
         return None
+
+
+_USUAL_SPREAD_PX = 0.5  # of rows; a pair with less needs no further check
+
+
+class NumberedPair(NamedTuple):
+    """The recorded images of a pair, and the number of the left one."""
+
+    number: int
+    left: Bytes
+    right: Bytes
+
+
+def time_offset_ms(
+    pairs: Sequence[NumberedPair],
+    read_left: Callable[[int], Bytes | None],
+    stamps_ns: Ints,
+    rig: RectifiedRig,
+) -> float | None:
+    """Time of right images minus that of left ones of the same stamp; None if none is certain.
+
+    Args:
+        pairs: some pairs.
+        read_left: reads a left image by number, None if it is unreadable.
+        stamps_ns: (N,) of all left images.
+        rig: the rectified cameras.
+    """
+    estimator = TimeOffsetEstimator(rig)
+    for number, left, right in pairs:
+        if not 0 < number < len(stamps_ns) - 1:
+            continue
+        before, after = read_left(number - 1), read_left(number + 1)
+        if before is None or after is None:
+            continue
+        rectified = rig.rectify(left, 0), rig.rectify(right, 1)
+        points = refined_points(*rectified, match_features(*rectified))
+        estimator.next_image(int(stamps_ns[number - 1]), rig.rectify(before, 0))
+        estimator.next_image(int(stamps_ns[number]), rectified[0])
+        estimator.add(int(stamps_ns[number]), PairPoints(points[:, :2], points[:, 2:]))
+        estimator.next_image(int(stamps_ns[number + 1]), rig.rectify(after, 0))
+    return estimator.offset_ms
+
+
+def is_suspect(stereo: StereoReport) -> bool:
+    """Whether rows differ by so much that the time of the images may be the cause."""
+    is_spread = stereo.row_spread_px > _USUAL_SPREAD_PX or stereo.right_camera is not None
+    return stereo.rectified and is_spread and not stereo.right_is
