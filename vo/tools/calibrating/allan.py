@@ -24,17 +24,11 @@ _FLAT = 2.0 * np.log(2.0) / np.pi
 
 @dataclass(frozen=True, eq=False)
 class AllanCurve:
-    """Allan deviations of the axes of a sensor.
+    """Allan deviations of the axes of a sensor."""
 
-    Attributes:
-        tau_s: (M,) averaging times.
-        deviation: (M, 3) of each axis.
-        freedom: (M,) degrees of freedom of a variance, all axes together.
-    """
-
-    tau_s: Floats
-    deviation: Floats
-    freedom: Floats
+    tau_s: Floats  # (M,) averaging times
+    deviation: Floats  # (M, 3) of each axis
+    freedom: Floats  # (M,) degrees of freedom of a variance, all axes together
 
     @property
     def pooled(self) -> Floats:
@@ -44,25 +38,15 @@ class AllanCurve:
 
 @dataclass(frozen=True)
 class NoiseTerms:
-    """Noise terms of a sensor; units are those of its measurements, per the root of Hz for density.
+    """Noise terms in the units of the measurements, per the root of Hz for density."""
 
-    Attributes:
-        density: white noise, the deviation at 1 s on the slope of -1/2.
-        density_sd: its relative standard deviation.
-        walk: random walk of the bias, on the slope of +1/2.
-        walk_sd: its relative standard deviation; infinite if the recording does not show it.
-        instability: lowest deviation of the flat part, 0 if there is none.
-        ramp: rate of a drift, as of the temperature, on the slope of +1.
-        quantisation: of the integral, on the slope of -1.
-    """
-
-    density: float
-    density_sd: float
-    walk: float
-    walk_sd: float
-    instability: float
-    ramp: float
-    quantisation: float
+    density: float  # white noise, the deviation at 1 s on the slope of -1/2
+    density_sd: float  # its relative standard deviation
+    walk: float  # random walk of the bias, on the slope of +1/2
+    walk_sd: float  # its relative standard deviation; infinite if the recording does not show it
+    instability: float  # lowest deviation of the flat part, 0 if there is none
+    ramp: float  # rate of a drift, as of the temperature, on the slope of +1
+    quantisation: float  # of the integral, on the slope of -1
 
     def deviation(self, tau_s: Floats) -> Floats:
         """(M,) Allan deviations of these terms."""

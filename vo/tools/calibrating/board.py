@@ -19,25 +19,15 @@ _MARKER_RATIO = 0.75
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board of squares, with x along the rows, y along the columns, z away from the viewer.
+    """A flat board of squares: x along the rows, y along the columns, z away from the viewer."""
 
-    Attributes:
-        kind: `chessboard`, or `charuco` with a marker in each white square.
-        columns: inner corners in a row, where four squares meet.
-        rows: inner corners in a column.
-        square_m: side of a square in metres.
-        marker_m: side of a marker in metres; 0 for a chessboard.
-        dictionary: name of the marker dictionary, such as `4X4_50`.
-        legacy: marker layout of OpenCV before 4.6, which differs if the number of rows of squares
-            is even.
-    """
-
-    kind: Kind
-    columns: int
+    kind: Kind  # `chessboard`, or `charuco` with a marker in each white square
+    columns: int  # inner corners in a row, where four squares meet
     rows: int
-    square_m: float
-    marker_m: float = 0.0
-    dictionary: str = "4X4_50"
+    square_m: float  # side of a square in metres
+    marker_m: float = 0.0  # side of a marker in metres; 0 for a chessboard
+    dictionary: str = "4X4_50"  # name of the marker dictionary, such as `4X4_50`
+    # Marker layout of OpenCV before 4.6, which differs if the number of rows of squares is even
     legacy: bool = False
 
     @property

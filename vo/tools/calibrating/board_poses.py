@@ -22,20 +22,13 @@ _FLOOR_PX = 0.03  # of corners
 
 @dataclass(frozen=True, eq=False)
 class BoardPoses:
-    """Poses of cam0.
+    """Poses of cam0."""
 
-    Attributes:
-        stamps_ns: (N,) increasing.
-        board_from_cam: (N, 4, 4).
-        information: (N, 6, 6) of a small motion of the camera in its own frame: rotation vector,
-            then translation.
-        rms_px: of the corners of all views, after outliers have lost their weight.
-    """
-
-    stamps_ns: Ints
-    board_from_cam: Floats
+    stamps_ns: Ints  # (N,) increasing
+    board_from_cam: Floats  # (N, 4, 4)
+    # (N, 6, 6) of a small motion of the camera in its own frame: rotation vector, then translation
     information: Floats
-    rms_px: float
+    rms_px: float  # of the corners of all views, after outliers have lost their weight
 
 
 def board_poses(board: Board, detected: DetectedViews, camera: Camera) -> BoardPoses:

@@ -11,23 +11,14 @@ from vo.base.types import Floats
 
 @dataclass(eq=False)
 class BorderedSystem:
-    """Normal equations of N states with S unknowns each, and of C common unknowns.
+    """Normal equations of N states with S unknowns each, and of C common unknowns."""
 
-    Attributes:
-        diagonal: (N, S, S).
-        next: (N - 1, S, S) between a state and the next one.
-        border: (N, S, C) between a state and the common unknowns.
-        corner: (C, C).
-        right: (N, S) gradient of the states.
-        right_common: (C,) that of the common unknowns.
-    """
-
-    diagonal: Floats
-    next: Floats
-    border: Floats
-    corner: Floats
-    right: Floats
-    right_common: Floats
+    diagonal: Floats  # (N, S, S)
+    next: Floats  # (N - 1, S, S) between a state and the next one
+    border: Floats  # (N, S, C) between a state and the common unknowns
+    corner: Floats  # (C, C)
+    right: Floats  # (N, S) gradient of the states
+    right_common: Floats  # (C,) that of the common unknowns
 
     @classmethod
     def empty(cls, count: int, size: int, common: int) -> BorderedSystem:
@@ -44,9 +35,8 @@ class BorderedSystem:
     def solve(self, damping: float) -> tuple[Floats, Floats, Floats]:
         """Eliminate the states one by one.
 
-        Returns:
-            (N, S) steps of the states, (C,) step of the common unknowns, and the (C, C) information
-            of the common unknowns.
+        Returns (N, S) steps of the states, (C,) step of the common unknowns, and the (C, C)
+        information of the common unknowns.
         """
         count, size = self.right.shape
         common = len(self.right_common)

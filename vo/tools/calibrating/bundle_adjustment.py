@@ -27,33 +27,21 @@ _MIN_EIGENVALUE = 1e-16
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Corners of the board in one image.
+    """Corners of the board in one image."""
 
-    Attributes:
-        view: number of the view; both images of a pair have the same.
-        camera: 0 or 1.
-        ids: (N,) numbers of the corners on the board.
-        xy: (N, 2) pixels.
-    """
-
-    view: int
-    camera: int
-    ids: Ints
-    xy: Floats
+    view: int  # number of the view; both images of a pair have the same
+    camera: int  # 0 or 1
+    ids: Ints  # (N,) numbers of the corners on the board
+    xy: Floats  # (N, 2) pixels
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
-    """Parameters of the adjustment.
+    """Parameters of the adjustment."""
 
-    Attributes:
-        intrinsics: one array per camera, as in `project`.
-        poses: (V, 6) rotation vectors and translations of cam0_from_board.
-        cam1_from_cam0: (6,) rotation vector and translation; None with one camera.
-    """
-
-    intrinsics: tuple[Floats, ...]
-    poses: Floats
+    intrinsics: tuple[Floats, ...]  # one array per camera, as in `project`
+    poses: Floats  # (V, 6) rotation vectors and translations of cam0_from_board
+    # (6,) rotation vector and translation; None with one camera
     cam1_from_cam0: Floats | None = None
 
     def vector(self) -> Floats:
@@ -76,17 +64,13 @@ class Parameters:
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentResult:
-    """Result of a bundle adjustment.
-
-    Attributes:
-        parameters: the estimated parameters.
-        sigmas: standard deviations of the cameras' parameters, scaled by the residuals; without
-            those of the poses.
-        residuals: (N, 2) per observation: observed minus projected corners, in pixels.
-    """
+    """Result of a bundle adjustment."""
 
     parameters: Parameters
+    # standard deviations of the cameras' parameters, scaled by the residuals; without those of the
+    # poses
     sigmas: Parameters
+    # (N, 2) per observation: observed minus projected corners, in pixels
     residuals: tuple[Floats, ...]
 
     @property
@@ -102,23 +86,14 @@ def rms(residuals: Sequence[Floats]) -> float:
 
 
 class _NormalEquations(NamedTuple):
-    """Normal equations in blocks, for p camera parameters and V poses of 6 parameters.
+    """Normal equations in blocks, for p camera parameters and V poses of 6 parameters."""
 
-    Attributes:
-        camera_hessian: (p, p), cameras.
-        mixed_hessian: (V, p, 6), cameras and poses.
-        pose_hessian: (V, 6, 6), poses.
-        camera_gradient: (p,).
-        pose_gradient: (V, 6).
-        residuals: (N, 2) per observation.
-    """
-
-    camera_hessian: Floats
-    mixed_hessian: Floats
-    pose_hessian: Floats
-    camera_gradient: Floats
-    pose_gradient: Floats
-    residuals: list[Floats]
+    camera_hessian: Floats  # (p, p), cameras
+    mixed_hessian: Floats  # (V, p, 6), cameras and poses
+    pose_hessian: Floats  # (V, 6, 6), poses
+    camera_gradient: Floats  # (p,)
+    pose_gradient: Floats  # (V, 6)
+    residuals: list[Floats]  # (N, 2) per observation
 
     @property
     def cost(self) -> float:
@@ -134,11 +109,8 @@ def bundle_adjust(
 ) -> AdjustmentResult:
     """Minimise the squared reprojection errors of all observations.
 
-    Args:
-        lenses: lens model of each camera.
-        observations: of all views; every view has at least one.
-        points: (M, 3) corners on the board, by id.
-        start: initial parameters.
+    `lenses`: lens model of each camera. `observations`: of all views; every view has at least one.
+    `points`: (M, 3) corners on the board, by id.
     """
     parameters = start
     system = _linearise(lenses, observations, points, parameters)

@@ -32,20 +32,16 @@ MODELS = {
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """A calibrated rig.
-
-    Attributes:
-        fit: the views, corners, residuals and standard deviations.
-        compared_rms_px: RMS error of each compared lens model by name, for each camera.
-        epipolar_px: frame number and RMS distance from epipolar lines, with two cameras.
-    """
+    """A calibrated rig."""
 
     board: Board
     detected: DetectedViews
     size: tuple[int, int]
     rig: Rig
-    fit: Fit
+    fit: Fit  # the views, corners, residuals and standard deviations
+    # RMS error of each compared lens model by name, for each camera
     compared_rms_px: tuple[dict[str, float], ...]
+    # frame number and RMS distance from epipolar lines, with two cameras
     epipolar_px: tuple[tuple[int, float], ...] = ()
 
     def observations_of(self, camera: int) -> list[tuple[Observation, Floats]]:
@@ -67,12 +63,8 @@ def calibrate(
 ) -> CalibrationResult:
     """Calibrate the cameras of a recording.
 
-    Args:
-        board: the board.
-        detected: the views of the board.
-        size: width and height of the images of each camera.
-        model: a key of `MODELS`.
-        max_views: largest number of views for each camera, and for the pair.
+    `size`: width and height of the images of each camera. `model`: a key of `MODELS`. `max_views`:
+    largest number of views for each camera, and for the pair.
 
     Raises:
         CalibrationError: too few views, or no camera fits them.

@@ -26,19 +26,12 @@ _MAX_MISFIT = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Detected corners of the board in an image.
+    """Detected corners of the board in an image."""
 
-    Attributes:
-        ids: (N,) numbers of the corners on the board.
-        xy: (N, 2) pixels.
-        outline: (4, 2) pixels of the outermost inner corners, detected or not.
-        sharpness: steepest gradient relative to the contrast, per pixel; about 0.5 if sharp.
-    """
-
-    ids: Ints
-    xy: Floats
-    outline: Floats
-    sharpness: float
+    ids: Ints  # (N,) numbers of the corners on the board
+    xy: Floats  # (N, 2) pixels
+    outline: Floats  # (4, 2) pixels of the outermost inner corners, detected or not
+    sharpness: float  # steepest gradient relative to the contrast, per pixel; about 0.5 if sharp
 
 
 def detect(board: Board, image: Bytes) -> Detection | None:

@@ -39,21 +39,16 @@ _WORTH_MORE_PARAMETERS = 1.02
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A calibration and the observations behind it.
-
-    Attributes:
-        observations: the observations used; their views are numbered as the poses.
-        frames: frame number of each view.
-        dropped: frame numbers of outlier views, with their errors in pixels.
-        dropped_corners: number of single outlier corners.
-    """
+    """A calibration and the observations behind it."""
 
     lenses: tuple[LensModel, ...]
+    # the observations used; their views are numbered as the poses
     observations: tuple[Observation, ...]
-    frames: tuple[int, ...]
+    frames: tuple[int, ...]  # frame number of each view
     adjustment: AdjustmentResult
+    # frame numbers of outlier views, with their errors in pixels
     dropped: tuple[tuple[int, float], ...] = ()
-    dropped_corners: int = 0
+    dropped_corners: int = 0  # number of single outlier corners
 
 
 def fit_camera(
@@ -65,15 +60,12 @@ def fit_camera(
 ) -> tuple[Fit, dict[str, float]]:
     """Calibrate one camera with the best of several lens models.
 
-    Args:
-        lenses: lens models to compare, those with fewer parameters first.
-        observations: one per view, of camera 0.
-        frames: frame number of each view.
-        points: (M, 3) corners on the board.
-        size: width and height of the images.
+    `lenses`: lens models to compare, those with fewer parameters first. `observations`: one per
+    view, of camera 0. `frames`: frame number of each view. `points`: (M, 3) corners on the board.
+    `size`: width and height of the images.
 
-    Returns:
-        The fit of the first lens model within 2 % of the best, and the RMS errors of all by name.
+    Returns the fit of the first lens model within 2 % of the best, and the RMS errors of all by
+    name.
 
     Raises:
         CalibrationError: too few views, or no camera fits them.

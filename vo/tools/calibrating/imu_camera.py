@@ -44,32 +44,19 @@ _CAUCHY = 9.0  # squared Mahalanobis distance of a pose of half weight
 
 @dataclass(frozen=True, eq=False)
 class ImuOnCamera:
-    """Result: the sensor on the camera.
+    """Result: the sensor on the camera."""
 
-    Attributes:
-        cam0_from_imu: (4, 4).
-        time_offset_s: what to add to stamps of images to get the clock of the sensor.
-        rotation_sd_deg: (3,) standard deviations about the axes of the camera.
-        translation_sd_m: (3,) along them.
-        time_offset_sd_s: standard deviation.
-        gyro_bias: (3,) rad/s.
-        accel_bias: (3,) m/s².
-        misfit: residuals relative to the given noise; about 1.
-        seconds: time from the first to the last.
-        corner_rms_px: error of corners of the board in the images.
-    """
-
-    cam0_from_imu: Floats
-    time_offset_s: float
-    rotation_sd_deg: Floats
-    translation_sd_m: Floats
+    cam0_from_imu: Floats  # (4, 4)
+    time_offset_s: float  # what to add to stamps of images to get the clock of the sensor
+    rotation_sd_deg: Floats  # (3,) standard deviations about the axes of the camera
+    translation_sd_m: Floats  # (3,) along them
     time_offset_sd_s: float
-    gyro_bias: Floats
-    accel_bias: Floats
-    misfit: float
+    gyro_bias: Floats  # (3,) rad/s
+    accel_bias: Floats  # (3,) m/s²
+    misfit: float  # residuals relative to the given noise; about 1
     views: int
-    seconds: float
-    corner_rms_px: float
+    seconds: float  # time from the first to the last
+    corner_rms_px: float  # error of corners of the board in the images
 
 
 def calibrate_imu_camera(
@@ -77,12 +64,8 @@ def calibrate_imu_camera(
 ) -> ImuOnCamera:
     """Calibrate from poses of cam0 and samples.
 
-    Args:
-        poses: of cam0 relative to the board.
-        stamps_ns: (M,) stamps of the samples.
-        gyro: (M, 3) rad/s.
-        accel: (M, 3) m/s².
-        noise: of the sensor.
+    `poses`: of cam0 relative to the board. `stamps_ns`: (M,) stamps of the samples. `gyro`: (M, 3)
+    rad/s. `accel`: (M, 3) m/s².
 
     Raises:
         CalibrationError: too few views, too little rotation, or both do not fit together.

@@ -37,22 +37,14 @@ class States(NamedTuple):
 
 
 class Common(NamedTuple):
-    """Unknowns that all images share.
+    """Unknowns that all images share."""
 
-    Attributes:
-        rotation: (3, 3) cam_from_imu.
-        translation: (3,) of it.
-        gyro_bias: (3,).
-        accel_bias: (3,).
-        up: (3, 3) rotation that takes z to up in the frame of the board.
-    """
-
-    rotation: Floats
-    translation: Floats
+    rotation: Floats  # (3, 3) cam_from_imu
+    translation: Floats  # (3,) of it
     offset_s: float
-    gyro_bias: Floats
-    accel_bias: Floats
-    up: Floats
+    gyro_bias: Floats  # (3,)
+    accel_bias: Floats  # (3,)
+    up: Floats  # (3, 3) rotation that takes z to up in the frame of the board
 
     def moved(self, step: Floats) -> Common:
         """By a step (15,)."""

@@ -14,17 +14,11 @@ from vo.engine.geometry.so3 import exp_rows
 
 
 class Increments(NamedTuple):
-    """What samples alone tell of M intervals, in the frame of the sensor at their starts.
+    """What samples alone tell of M intervals, in the frame of the sensor at their starts."""
 
-    Attributes:
-        rotation: (M, 3, 3) start_from_end.
-        velocity: (M, 3) change of the velocity without gravity.
-        position: (M, 3) change of the position without gravity and the first velocity.
-    """
-
-    rotation: Floats
-    velocity: Floats
-    position: Floats
+    rotation: Floats  # (M, 3, 3) start_from_end
+    velocity: Floats  # (M, 3) change of the velocity without gravity
+    position: Floats  # (M, 3) change of the position without gravity and the first velocity
 
 
 class Samples:

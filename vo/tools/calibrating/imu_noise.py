@@ -44,19 +44,12 @@ class SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class ImuNoiseResult:
-    """Noise of an inertial sensor.
+    """Noise of an inertial sensor."""
 
-    Attributes:
-        gyro: of the gyroscope, in rad/s.
-        accel: of the accelerometer, in m/s².
-        rate_hz: samples per second.
-        start_s: start of the part at rest, from the first sample.
-    """
-
-    gyro: SensorNoise
-    accel: SensorNoise
-    rate_hz: float
-    start_s: float
+    gyro: SensorNoise  # of the gyroscope, in rad/s
+    accel: SensorNoise  # of the accelerometer, in m/s²
+    rate_hz: float  # samples per second
+    start_s: float  # start of the part at rest, from the first sample
     rest_s: float
     recorded_s: float
 
@@ -74,10 +67,7 @@ class ImuNoiseResult:
 def measure_noise(stamps_ns: Ints, gyro: Floats, accel: Floats) -> ImuNoiseResult:
     """Measure the noise in the longest part in which the sensor is at rest.
 
-    Args:
-        stamps_ns: (N,) increasing.
-        gyro: (N, 3) rad/s.
-        accel: (N, 3) m/s².
+    `stamps_ns`: (N,) increasing. `gyro`: (N, 3) rad/s. `accel`: (N, 3) m/s².
 
     Raises:
         CalibrationError: there is no minute at rest, or a sensor gives constant values.

@@ -22,10 +22,7 @@ _MIN_MARKERS = 4
 def explain_missing_board(board: Board, detected: DetectedViews, frames: Iterable[Frame]) -> str:
     """One line for a user whose board was found in no frame, or hardly any.
 
-    Args:
-        board: the board that was searched.
-        detected: the few views of it.
-        frames: some or all of the frames, to search for another board.
+    `frames`: some or all of the frames, to search for another board.
     """
     step = max(detected.frames // _IMAGES, 1)
     images = [frame.image0 for frame in islice(frames, 0, None, step)][:_IMAGES]

@@ -11,14 +11,10 @@ from vo.base.types import Camera, DistortionModel, Floats
 
 
 class LensModel(NamedTuple):
-    """A lens model that can be calibrated.
-
-    Attributes:
-        distortion_model: the same of `Camera`.
-    """
+    """A lens model that can be calibrated."""
 
     name: str
-    distortion_model: DistortionModel
+    distortion_model: DistortionModel  # the same of `Camera`
     coefficients: int
 
     @property
@@ -45,27 +41,19 @@ LENS_MODELS = (
 
 
 class Projection(NamedTuple):
-    """Projected points and their derivatives.
+    """Projected points and their derivatives."""
 
-    Attributes:
-        xy: (N, 2) pixels.
-        intrinsics_jacobian: (2 N, lens.size) derivatives by fx, fy, cx, cy and the coefficients.
-        pose_jacobian: (2 N, 6) derivatives by rotation vector and translation.
-    """
-
-    xy: Floats
+    xy: Floats  # (N, 2) pixels
+    # (2 N, lens.size) derivatives by fx, fy, cx, cy and the coefficients
     intrinsics_jacobian: Floats
-    pose_jacobian: Floats
+    pose_jacobian: Floats  # (2 N, 6) derivatives by rotation vector and translation
 
 
 def project(lens: LensModel, intrinsics: Floats, pose: Floats, points: Floats) -> Projection:
     """Project points of the board into the image.
 
-    Args:
-        lens: the lens model.
-        intrinsics: (lens.size,) fx, fy, cx, cy and the coefficients.
-        pose: (6,) rotation vector and translation of cam_from_board.
-        points: (N, 3) points on the board in metres.
+    `intrinsics`: (lens.size,) fx, fy, cx, cy and the coefficients. `pose`: (6,) rotation vector and
+    translation of cam_from_board. `points`: (N, 3) points on the board in metres.
     """
     fx, fy, cx, cy = intrinsics[:4]
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])

@@ -28,31 +28,21 @@ _MIN_DIFFERENCE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A frame in which the board is seen.
+    """A frame in which the board is seen."""
 
-    Attributes:
-        frame: frame number in the recording.
-        detections: the board in camera 0 and camera 1; None where it is not found.
-    """
-
-    frame: int
+    frame: int  # frame number in the recording
     stamp_ns: int
+    # the board in camera 0 and camera 1; None where it is not found
     detections: tuple[Detection | None, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class DetectedViews:
-    """All views of the board in a recording.
+    """All views of the board in a recording."""
 
-    Attributes:
-        frames: number of frames searched.
-        cameras: number of cameras, 1 or 2.
-        views: frames in which at least one camera sees the board, in order.
-    """
-
-    frames: int
-    cameras: int
-    views: tuple[View, ...]
+    frames: int  # number of frames searched
+    cameras: int  # number of cameras, 1 or 2
+    views: tuple[View, ...]  # frames in which at least one camera sees the board, in order
 
     def seen_by(self, camera: int) -> list[View]:
         """Views in which a camera sees the board."""
@@ -68,12 +58,8 @@ def detect_views(
 ) -> DetectedViews:
     """Search all frames for the board.
 
-    Args:
-        board: the board.
-        frames: frames of the recording.
-        cameras: number of cameras, 1 or 2.
-        threads: number of threads; the result does not depend on it.
-        progress: called after each frame with the numbers of frames searched and of views.
+    `cameras`: number of cameras, 1 or 2. `threads`: number of threads; the result does not depend
+    on it. `progress`: called after each frame with the numbers of frames searched and of views.
     """
     views: list[View] = []
     searched = 0
@@ -151,10 +137,8 @@ def choose_views(views: Sequence[View], max_count: int, size: tuple[int, int]) -
     position, distance, tilt and rotation. The first view is the sharpest; each further view is the
     one farthest from all chosen ones, until the rest does not differ.
 
-    Args:
-        views: the candidates, all with detections in the same cameras.
-        max_count: largest number of views.
-        size: width and height of the images.
+    `views`: the candidates, all with detections in the same cameras. `max_count`: largest number of
+    views. `size`: width and height of the images.
     """
     views = _sharp_views(views)
     if not views:

@@ -27,11 +27,8 @@ def calibration_findings(
 ) -> Iterator[Finding]:
     """Findings about each lens, and about the stereo pair.
 
-    Args:
-        report: the report so far.
-        rig: the cameras.
-        is_refused: whether the reason why `vo run` refuses the recording is reported already, such
-            as a calibration for another image size.
+    `is_refused`: whether the reason why `vo run` refuses the recording is reported already, such as
+    a calibration for another image size.
     """
     calibration = report.calibration
     if calibration is None or rig is None:

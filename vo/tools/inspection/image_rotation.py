@@ -44,12 +44,9 @@ def measure_rotations(
 ) -> Rotations:
     """Rotations between consecutive images in some windows.
 
-    Args:
-        read: reads an image by number, None if it is unreadable.
-        stamps_ns: (N,) stamps of all images.
-        camera: the camera.
-        gyro_ns: (M,) stamps of the gyroscope.
-        gyro: (M, 3) rad/s; used only to choose images.
+    `read`: reads an image by number, None if it is unreadable. `stamps_ns`: (N,) stamps of all
+    images. `gyro_ns`: (M,) stamps of the gyroscope. `gyro`: (M, 3) rad/s; used only to choose
+    images.
     """
     found: list[tuple[int, int, Floats]] = []
     step = _step(stamps_ns)

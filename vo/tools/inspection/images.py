@@ -60,9 +60,8 @@ def check_images(
 ) -> tuple[list[ImageStatistics], tuple[int, int], list[int]]:
     """Check evenly spaced images of a recording, each compared with the previous one.
 
-    Returns:
-        Statistics of the checked images, width and height of the first one, and the numbers of
-        images of other sizes.
+    Returns statistics of the checked images, width and height of the first one, and the numbers of
+    images of other sizes.
     """
     looks: list[ImageStatistics] = []
     size: tuple[int, int] = (0, 0)

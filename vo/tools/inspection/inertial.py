@@ -37,13 +37,9 @@ def check_imus(
 ) -> tuple[tuple[ImuReport, ...], list[str]]:
     """Check the stamps of all samples, and the values of some.
 
-    Args:
-        imus: the sensors.
-        image_stamps_ns: (N,) stamps of the left images.
-        everything: check all values.
+    `image_stamps_ns`: (N,) stamps of the left images.
 
-    Returns:
-        A report on each sensor, and the warnings logged while they were read.
+    Returns a report on each sensor, and the warnings logged while they were read.
     """
     reports = []
     with collected_warnings() as warnings:

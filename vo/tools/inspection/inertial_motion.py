@@ -28,11 +28,8 @@ def compare_motion(
 ) -> ImuMotionReport | None:
     """Compare the rotation of images with the gyroscope; None if there is too little of it.
 
-    Args:
-        imu: the sensor.
-        read: reads an image of cam0 by number, None if it is unreadable.
-        stamps_ns: (N,) stamps of the images.
-        camera: cam0.
+    `read`: reads an image of cam0 by number, None if it is unreadable. `stamps_ns`: (N,) stamps of
+    the images. `camera`: cam0.
     """
     try:
         samples = imu.read()

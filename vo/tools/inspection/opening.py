@@ -32,16 +32,11 @@ from vo.recordings.sources.sequence import ImageSequence as SourceSequence
 
 @dataclass(frozen=True, eq=False)
 class ImageSequence:
-    """Images of a camera by increasing stamp.
+    """Images of a camera by increasing stamp."""
 
-    Attributes:
-        name: `cam0`, `cam1` or a topic.
-        repeated_stamps: number of images left out because of a repeated stamp.
-    """
-
-    name: str
+    name: str  # `cam0`, `cam1` or a topic
     shots: Sequence[Shot]
-    repeated_stamps: int = 0
+    repeated_stamps: int = 0  # number of images left out because of a repeated stamp
 
 
 class LoggedWarning(NamedTuple):
@@ -53,35 +48,25 @@ class LoggedWarning(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OpenedRecording:
-    """A recording as far as it could be opened.
-
-    Attributes:
-        cameras: left and right camera, or all candidates.
-        roles_known: whether these are left and right.
-        source: the source as `vo run` opens it; None if it refuses.
-        rig: the calibration, even if `vo run` refuses for another reason; None if unknown.
-        calibration: file and format of the calibration; empty if it is not a file.
-        truth: ground truth poses of cam0; of a log without images, its poses as logged.
-        pose_names: topics with poses of a log, and pairs of frames that move.
-        refusal: the error message of `vo run`; empty if there is none.
-        options: the options that chose how it is read, as words of a command.
-    """
+    """A recording as far as it could be opened."""
 
     path: Path
     format: str
-    cameras: tuple[ImageSequence, ...] = ()
-    roles_known: bool = True
+    cameras: tuple[ImageSequence, ...] = ()  # left and right camera, or all candidates
+    roles_known: bool = True  # whether these are left and right
     topics: tuple[Topic, ...] = ()
     unread: tuple[UnreadTopic, ...] = ()
     imus: tuple[Imu, ...] = ()
-    source: SourceSequence | None = None
+    source: SourceSequence | None = None  # the source as `vo run` opens it; None if it refuses
+    # the calibration, even if `vo run` refuses for another reason; None if unknown
     rig: Rig | None = None
-    calibration: str = ""
+    calibration: str = ""  # file and format of the calibration; empty if it is not a file
+    # ground truth poses of cam0; of a log without images, its poses as logged
     truth: Trajectory | None = None
-    pose_names: tuple[str, ...] = ()
-    refusal: str = ""
+    pose_names: tuple[str, ...] = ()  # topics with poses of a log, and pairs of frames that move
+    refusal: str = ""  # the error message of `vo run`; empty if there is none
     warnings: tuple[LoggedWarning, ...] = ()
-    options: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()  # the options that chose how it is read, as words of a command
     close: Callable[[], None] = field(default=lambda: None)
 
 

@@ -44,10 +44,9 @@ _STEREO_PAIRS = 6
 def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Report:
     """Check the stamps of all images and the pixels of some.
 
-    Args:
-        opened: the recording, as far as it could be opened.
-        images: number of images of each camera to check; None for all. With less than the default
-            images are not compared with an inertial sensor.
+    `opened`: the recording, as far as it could be opened. `images`: number of images of each camera
+    to check; None for all. With less than the default images are not compared with an inertial
+    sensor.
     """
     try:
         cameras = tuple(_camera(camera, images) for camera in opened.cameras)

@@ -169,11 +169,8 @@ def time_offset_ms(
 ) -> float | None:
     """Time of right images minus that of left ones of the same stamp; None if none is certain.
 
-    Args:
-        pairs: some pairs.
-        read_left: reads a left image by number, None if it is unreadable.
-        stamps_ns: (N,) of all left images.
-        rig: the rectified cameras.
+    `read_left`: reads a left image by number, None if it is unreadable. `stamps_ns`: (N,) of all
+    left images.
     """
     estimator = TimeOffsetEstimator(rig)
     for number, left, right in pairs:

@@ -24,45 +24,28 @@ _FAILED_DEG = 180.0
 
 
 class ImagePair(NamedTuple):
-    """Two images of one camera.
-
-    Attributes:
-        gap: frames between them.
-        first: (H, W) uint8.
-        second: (H, W) uint8.
-        second_from_first: (4, 4) true motion.
-        depths: (H, W) metres at the pixels of both images, 0 where unknown; None without depth.
-    """
+    """Two images of one camera."""
 
     gap: int
-    first: Bytes
-    second: Bytes
-    second_from_first: Floats
+    first: Bytes  # (H, W) uint8
+    second: Bytes  # (H, W) uint8
+    second_from_first: Floats  # (4, 4) true motion
+    # (H, W) metres at the pixels of both images, 0 where unknown; None without depth
     depths: tuple[Floats32, Floats32] | None = None
 
 
 class PairScore(NamedTuple):
-    """What a method reached on a pair.
-
-    Attributes:
-        correct: matches that agree with the true motion.
-        inliers: matches that agree with the estimated one.
-        rotation_deg: error of the estimated rotation, 180 if there is none.
-        direction_deg: error of the direction of translation; NaN where there is no translation.
-        extract_ms: CPU time of detection and description, per image.
-        match_ms: CPU time of matching.
-        repeatability: ratio of features that are found again; NaN without depth.
-    """
+    """What a method reached on a pair."""
 
     features: int
     matches: int
-    correct: int
-    inliers: int
-    rotation_deg: float
-    direction_deg: float
-    extract_ms: float
-    match_ms: float
-    repeatability: float = float("nan")
+    correct: int  # matches that agree with the true motion
+    inliers: int  # matches that agree with the estimated one
+    rotation_deg: float  # error of the estimated rotation, 180 if there is none
+    direction_deg: float  # error of the direction of translation; NaN where there is no translation
+    extract_ms: float  # CPU time of detection and description, per image
+    match_ms: float  # CPU time of matching
+    repeatability: float = float("nan")  # ratio of features that are found again; NaN without depth
 
     @property
     def error_deg(self) -> float:
@@ -72,35 +55,22 @@ class PairScore(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Scores of a method over the pairs of a gap: means of counts and times, medians of errors.
-
-    Attributes:
-        gap: frames between the images.
-        matching_score: ratio of features that were matched correctly.
-        precision: ratio of matches that are correct.
-        inlier_ratio: ratio of matches that agree with the estimated motion.
-        good_ratio: ratio of pairs with errors of rotation and direction below 2 degrees.
-        rotation_deg: median error of the rotation.
-        direction_deg: median error of the direction of translation, NaN without translation.
-        extract_ms: CPU time of detection and description per image.
-        match_ms: CPU time of matching per pair.
-        repeatability: ratio of features that are found again, by depth; NaN without depth.
-    """
+    """Scores of a method over the pairs of a gap: means of counts and times, medians of errors."""
 
     method: str
-    gap: int
+    gap: int  # frames between the images
     pairs: int
     features: float
     matches: float
-    matching_score: float
-    precision: float
-    inlier_ratio: float
-    good_ratio: float
-    rotation_deg: float
-    direction_deg: float
-    extract_ms: float
-    match_ms: float
-    repeatability: float
+    matching_score: float  # ratio of features that were matched correctly
+    precision: float  # ratio of matches that are correct
+    inlier_ratio: float  # ratio of matches that agree with the estimated motion
+    good_ratio: float  # ratio of pairs with errors of rotation and direction below 2 degrees
+    rotation_deg: float  # median error
+    direction_deg: float  # median error of the direction of translation, NaN without translation
+    extract_ms: float  # CPU time of detection and description per image
+    match_ms: float  # CPU time of matching per pair
+    repeatability: float  # ratio of features that are found again, by depth; NaN without depth
 
 
 def choose_pairs(usable: Bools, gaps: Sequence[int], wanted: int) -> Iterator[tuple[int, Ints]]:
@@ -108,10 +78,8 @@ def choose_pairs(usable: Bools, gaps: Sequence[int], wanted: int) -> Iterator[tu
 
     They lie in the middle of equal parts, as recordings often begin and end without motion.
 
-    Args:
-        usable: (N,) frames that may be part of a pair.
-        gaps: frames between the images of a pair, 1 or more each.
-        wanted: number of pairs per gap.
+    `usable`: (N,) frames that may be part of a pair. `gaps`: frames between the images of a pair, 1
+    or more each. `wanted`: number of pairs per gap.
     """
     for gap in gaps:
         firsts = np.flatnonzero(usable[:-gap] & usable[gap:])
@@ -123,10 +91,8 @@ def choose_pairs(usable: Bools, gaps: Sequence[int], wanted: int) -> Iterator[tu
 def score_pair(method: Method, pair: ImagePair, camera: RectifiedRig) -> PairScore:
     """Match a pair and estimate its motion.
 
-    Args:
-        method: finds matches.
-        pair: the images, rectified as `compare` does it.
-        camera: of both, as `rectified_rig` gives it for a single camera.
+    `pair`: the images, rectified as `compare` does it. `camera`: of both, as `rectified_rig` gives
+    it for a single camera.
     """
     found = method.match(pair.first, pair.second)
     first, second = camera.undistort(found.first), camera.undistort(found.second)
@@ -186,11 +152,8 @@ def compare(
     All methods see a pair before the next one is taken, so that times of a busy machine can be
     compared, and `pairs` may read images when they are needed.
 
-    Args:
-        methods: what to compare, of different names.
-        pairs: of one camera.
-        camera: as recorded.
-        progress: called with the name of a method before each pair.
+    `methods`: what to compare, of different names. `progress`: called with the name of a method
+    before each pair.
     """
     rig = rectified_rig(Rig(camera))
     scores: dict[tuple[str, int], list[PairScore]] = {}

@@ -18,22 +18,15 @@ _REPEATS, _ENOUGH_S = 3, 1.0  # times that it is run, and after which time it is
 
 @dataclass(frozen=True)
 class FeatureReport:
-    """Features of one image.
-
-    Attributes:
-        by_octave: number of features by octave, from 0.
-        spread: ratio of cells with a feature, of square cells, 16 across the image.
-        response: weakest and strongest response; None without features.
-        ms: CPU time of detection and description in one thread.
-    """
+    """Features of one image."""
 
     method: str
     count: int
-    by_octave: tuple[int, ...]
-    spread: float
-    response: tuple[float, float] | None
+    by_octave: tuple[int, ...]  # number of features by octave, from 0
+    spread: float  # ratio of cells with a feature, of square cells, 16 across the image
+    response: tuple[float, float] | None  # weakest and strongest response; None without features
     descriptor: str
-    ms: float
+    ms: float  # CPU time of detection and description in one thread
 
 
 def examine(method: Method, image: GreyImage) -> tuple[FeatureReport, Keypoints]:

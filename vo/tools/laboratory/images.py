@@ -18,15 +18,10 @@ _MIN_DETERMINANT = 1e-12  # of a homography of norm 1
 
 
 class GreyImage(NamedTuple):
-    """An image, and where features may lie.
+    """An image, and where features may lie."""
 
-    Attributes:
-        pixels: (H, W) uint8.
-        mask: (H, W) uint8, 0 where it is not to be used; None to use all of it.
-    """
-
-    pixels: Bytes
-    mask: Bytes | None = None
+    pixels: Bytes  # (H, W) uint8
+    mask: Bytes | None = None  # (H, W) uint8, 0 where it is not to be used; None to use all of it
 
 
 def is_image(path: Path) -> bool:

@@ -34,21 +34,13 @@ MATCHERS = (*get_args(MatchingName), KLT)
 
 
 class PairMatches(NamedTuple):
-    """Matches of two images.
+    """Matches of two images."""
 
-    Attributes:
-        first: (n, 2) pixels in the first image.
-        second: (n, 2) pixels in the second image.
-        counts: number of features in the first and in the second image.
-        extract_ms: CPU time of detection and description in both images.
-        match_ms: CPU time of matching.
-    """
-
-    first: Floats
-    second: Floats
-    counts: tuple[int, int]
-    extract_ms: float
-    match_ms: float
+    first: Floats  # (n, 2) pixels in the first image
+    second: Floats  # (n, 2) pixels in the second image
+    counts: tuple[int, int]  # number of features in the first and in the second image
+    extract_ms: float  # CPU time of detection and description in both images
+    match_ms: float  # CPU time of matching
 
 
 class Method(Protocol):
@@ -181,10 +173,8 @@ class FollowedCorners:
 def make_method(text: str, features: FeaturesConfig, matching: MatchingConfig) -> Method:
     """The method that a text names.
 
-    Args:
-        text: `DETECTOR[+DESCRIPTOR][/MATCHER]`, or `klt`.
-        features: count and other settings of all methods.
-        matching: ratio and other settings of all methods.
+    `text`: `DETECTOR[+DESCRIPTOR][/MATCHER]`, or `klt`. `features`: count and other settings of all
+    methods. `matching`: ratio and other settings of all methods.
 
     Raises:
         ConfigError: there is no such method, or this build of OpenCV lacks it.

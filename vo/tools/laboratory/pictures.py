@@ -29,10 +29,7 @@ _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 def draw_features(image: Bytes, found: Keypoints, sizes: Floats) -> Bytes:
     """The image (H, W, 3) BGR with features as circles of their size, and their orientation.
 
-    Args:
-        image: (H, W) uint8.
-        found: the features.
-        sizes: (N,) diameters in pixels.
+    `image`: (H, W) uint8. `sizes`: (N,) diameters in pixels.
     """
     picture = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     scale = 2**_SUBPIXEL_BITS
@@ -90,10 +87,7 @@ def check_plot(path: Path) -> None:
 def save_comparison(path: Path, rows: Sequence[Comparison], title: str) -> None:
     """Plot the share of good pairs by method and gap, and CPU times.
 
-    Args:
-        path: .png, .pdf or .svg file.
-        rows: of at least one method.
-        title: title of the figure.
+    `path`: .png, .pdf or .svg file. `rows`: of at least one method.
 
     Raises:
         OutputError: unsupported suffix, or the file cannot be written.

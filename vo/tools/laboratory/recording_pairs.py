@@ -16,19 +16,12 @@ from vo.tools.laboratory.comparison import ImagePair, choose_pairs, true_motion
 
 @dataclass(frozen=True, eq=False)
 class PlannedPairs:
-    """Pairs to compare methods on; images are read when they are iterated.
+    """Pairs to compare methods on; images are read when they are iterated."""
 
-    Attributes:
-        recording: where they are.
-        world_from_cam: (N, 4, 4) true pose of each frame, NaN where it is not known.
-        frames: gap and number of the first frame of each pair.
-        without_pairs: gaps of which there are none.
-    """
-
-    recording: Recording
-    world_from_cam: Floats
-    frames: tuple[tuple[int, int], ...]
-    without_pairs: tuple[int, ...]
+    recording: Recording  # where they are
+    world_from_cam: Floats  # (N, 4, 4) true pose of each frame, NaN where it is not known
+    frames: tuple[tuple[int, int], ...]  # gap and number of the first frame of each pair
+    without_pairs: tuple[int, ...]  # gaps of which there are none
 
     def __len__(self) -> int:
         return len(self.frames)

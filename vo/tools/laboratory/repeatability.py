@@ -30,37 +30,25 @@ class Transfers(NamedTuple):
 
 
 class PlaneScore(NamedTuple):
-    """What a method reached on two images of a plane.
-
-    Attributes:
-        features: in the first and in the second image.
-        repeatability: ratio of features that are found again.
-        matching_score: correct matches by features of the common part, of the image with fewer.
-        precision: ratio of matches that are correct.
-        extract_ms: CPU time of detection and description, per image.
-        match_ms: CPU time of matching.
-    """
+    """What a method reached on two images of a plane."""
 
     method: str
-    features: tuple[int, int]
+    features: tuple[int, int]  # in the first and in the second image
     matches: int
-    repeatability: float
-    matching_score: float
-    precision: float
-    extract_ms: float
-    match_ms: float
+    repeatability: float  # ratio of features that are found again
+    matching_score: float  # correct matches by features of the common part, of the image with fewer
+    precision: float  # ratio of matches that are correct
+    extract_ms: float  # CPU time of detection and description, per image
+    match_ms: float  # CPU time of matching
 
 
 def score_plane(method: Method, first: Bytes, second: Bytes, homography: Floats) -> PlaneScore:
     """Score a method on two images (H, W) uint8 of a plane.
 
-    Args:
-        method: finds features and matches.
-        first: the first image.
-        second: the second image; it may have another size.
-        homography: second_from_first (3, 3), invertible.
-
     Source: Mikolajczyk and Schmid, "A performance evaluation of local descriptors", PAMI 2005.
+
+    `method`: finds features and matches. `second`: the second image; it may have another size.
+    `homography`: second_from_first (3, 3), invertible.
     """
     found = method.match(first, second)
     transfers = by_homography(homography, first.shape, second.shape)
@@ -88,10 +76,8 @@ def by_homography(
 ) -> Transfers:
     """Transfers of a plane.
 
-    Args:
-        second_from_first: (3, 3) homography.
-        first: shape (H, W) of the first image.
-        second: shape of the second image.
+    `second_from_first`: (3, 3) homography. `first`: shape (H, W) of the first image. `second`:
+    shape of the second image.
     """
     back = np.asarray(np.linalg.inv(second_from_first), dtype=np.float64)
     return Transfers(
@@ -105,10 +91,8 @@ def by_depth(
 ) -> Transfers:
     """Transfers of points with known depth.
 
-    Args:
-        depths: (H, W) metres at the pixels of both images, 0 where unknown.
-        second_from_first: (4, 4) true motion.
-        camera: of both images.
+    `depths`: (H, W) metres at the pixels of both images, 0 where unknown. `second_from_first`: (4,
+    4) true motion.
     """
     first, second = depths
     back = inverse(second_from_first)

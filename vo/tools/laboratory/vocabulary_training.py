@@ -30,12 +30,9 @@ def train_on(
 ) -> Vocabulary:
     """Train a vocabulary on the images of camera 0 of recordings.
 
-    Args:
-        sources: recordings.
-        every: use every n-th frame; neighbouring frames are nearly the same.
-        features: detector and descriptor; binary descriptors of 32 bytes.
-        seed: of the training.
-        on_recording: called with the name of each recording and its number of images.
+    `every`: use every n-th frame; neighbouring frames are nearly the same. `features`: detector and
+    descriptor; binary descriptors of 32 bytes. `on_recording`: called with the name of each
+    recording and its number of images.
 
     Raises:
         SourceError: a recording cannot be read.

@@ -106,19 +106,12 @@ def marker_corners(markers: Sequence[MarkerVisit], placed: PlacedKeyframes, worl
 
 
 class _InWorld(NamedTuple):
-    """A marker in a world, by the visit that is the most certain one.
+    """A marker in a world, by the visit that is the most certain one."""
 
-    Attributes:
-        world: number of the world.
-        marker: relative to its keyframe.
-        world_from_marker: (4, 4) similarity from metres to the unit of the world.
-        visits: number of visits.
-    """
-
-    world: int
-    marker: MarkerVisit
-    world_from_marker: Floats
-    visits: int
+    world: int  # number of the world
+    marker: MarkerVisit  # relative to its keyframe
+    world_from_marker: Floats  # (4, 4) similarity from metres to the unit of the world
+    visits: int  # number of visits
 
 
 def _best_visits(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[_InWorld]:

@@ -28,14 +28,10 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
     map. As maps do not record the settings of their runs, the default ones are used. The worlds of
     both are rigid: nothing in them moves.
 
-    Args:
-        first: map whose worlds keep their frames and numbers.
-        second: map whose sessions and worlds are numbered after those of the first one.
-        output: file to write.
-        vocabulary: that of both maps.
+    `first`: map whose worlds keep their frames and numbers. `second`: map whose sessions and worlds
+    are numbered after those of the first one.
 
-    Returns:
-        The number of keyframes of the second map that were recognised.
+    Returns the number of keyframes of the second map that were recognised.
 
     Raises:
         SourceError: a map is missing or damaged.

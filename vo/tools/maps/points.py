@@ -18,15 +18,10 @@ from vo.tools.maps.contents import marker_corners
 
 
 class MapPoints(NamedTuple):
-    """Points of one keyframe; rows belong together.
+    """Points of one keyframe; rows belong together."""
 
-    Attributes:
-        xyz: (n, 3) in the world of the keyframe.
-        grey: (n,) uint8 grey levels.
-    """
-
-    xyz: Floats
-    grey: Bytes
+    xyz: Floats  # (n, 3) in the world of the keyframe
+    grey: Bytes  # (n,) uint8 grey levels
 
 
 def points_of(map_file: MapFile, world: int) -> Iterator[MapPoints]:
@@ -52,8 +47,7 @@ def points_of(map_file: MapFile, world: int) -> Iterator[MapPoints]:
 def export_ply(map_file: MapFile, path: Path, world: int) -> int:
     """Write the points of a world, and the corners of its markers in white, as a PLY file.
 
-    Returns:
-        Their number.
+    Returns their number.
 
     Raises:
         SourceError: a keyframe is damaged.

@@ -36,10 +36,8 @@ class Refinement(StrEnum):
 class MarkerDetector:
     """Detects the markers of one dictionary.
 
-    Args:
-        name: of the dictionary, from `dictionary_name`, not `auto`.
-        refinement: of the corners.
-        is_strict: accept only markers without a single wrong bit.
+    `name`: of the dictionary, from `dictionary_name`, not `auto`. `is_strict`: accept only markers
+    without a single wrong bit.
     """
 
     def __init__(
@@ -56,9 +54,8 @@ class MarkerDetector:
     def detect(self, image: Bytes, camera: Camera | None = None) -> list[DetectedMarker]:
         """The markers of an image (H, W), by increasing id, and from top to bottom.
 
-        Args:
-            image: uint8, as recorded.
-            camera: whose lens bends straight lines; None without distortion.
+        `image`: uint8, as recorded. `camera`: whose lens bends straight lines; None without
+        distortion.
         """
         found, ids, _ = self._detector.detectMarkers(image)
         if ids is None:
@@ -169,8 +166,7 @@ def make_detector(
 ) -> MarkerDetector | None:
     """A detector of a dictionary, which is found in images if its name is `auto`.
 
-    Returns:
-        None if no image shows a marker of any dictionary.
+    Returns None if no image shows a marker of any dictionary.
 
     Raises:
         ConfigError: two dictionaries fit equally well.

@@ -39,14 +39,11 @@ def refine_corners(
     Edges are measured along each side, every pixel or so, as the mean position of the grey-level
     gradient; lines are straight in ideal pixels, so that a lens does not bend them.
 
-    Args:
-        image: (H, W) uint8.
-        corners: (4, 2) pixels, right to a pixel or two.
-        cells: of the marker along a side, with its border.
-        camera: of the image; None for one without distortion.
+    `image`: (H, W) uint8. `corners`: (4, 2) pixels, right to a pixel or two. `camera`: of the
+    image; None for one without distortion.
 
-    Returns:
-        None where a side is not a straight edge from dark to bright for about half of its length.
+    Returns None where a side is not a straight edge from dark to bright for about half of its
+    length.
     """
     camera = camera if camera is not None and camera.is_distorted else None
     current = corners if camera is None else _to_ideal(camera, corners)

@@ -38,35 +38,22 @@ _FIXED = 1e-9  # relative standard deviation of a scale that is given
 
 
 class MapFit(NamedTuple):
-    """What a map says about the scale of a world, and which markers agree.
+    """What a map says about the scale of a world, and which markers agree."""
 
-    Attributes:
-        scale: metres of the map in a metre by the sides of the markers.
-        relative_sigma: standard deviation of the scale.
-        used: ids of the markers that agree.
-        refused: distance in metres from where the map has them, of those that do not, by id.
-        contradicts_sides: whether the distances of the map contradict the sides of the markers.
-    """
-
-    scale: float
+    scale: float  # metres of the map in a metre by the sides of the markers
     relative_sigma: float
     used: tuple[int, ...]
+    # distance in metres from where the map has them, of those that do not, by id
     refused: Mapping[int, float]
-    contradicts_sides: bool
+    contradicts_sides: bool  # whether the distances of the map contradict the sides of the markers
 
 
 class MapPlace(NamedTuple):
-    """Where a world in metres is in a map.
+    """Where a world in metres is in a map."""
 
-    Attributes:
-        map_from_world: (4, 4).
-        sigma_m: standard deviation of the position, where the markers are.
-        sigma_rad: standard deviation of the rotation.
-    """
-
-    map_from_world: Floats
-    sigma_m: float
-    sigma_rad: float
+    map_from_world: Floats  # (4, 4)
+    sigma_m: float  # standard deviation of the position, where the markers are
+    sigma_rad: float  # standard deviation of the rotation
 
 
 def fit_map(
@@ -74,13 +61,10 @@ def fit_map(
 ) -> MapFit | str:
     """The scale by the distances between markers, of the markers that agree with each other.
 
-    Args:
-        markers: of a world, in metres by their sides, all of them known.
-        known: the map.
-        scale_sigma: relative standard deviation of these metres.
+    `markers`: of a world, in metres by their sides, all of them known. `scale_sigma`: relative
+    standard deviation of these metres.
 
-    Returns:
-        Why not, in words after the name of the map, if most of them do not agree.
+    Returns why not, in words after the name of the map, if most of them do not agree.
     """
     both = _Pairs.of(markers, known)
     agree = _consensus(both, scale_sigma)

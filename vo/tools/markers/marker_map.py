@@ -33,29 +33,20 @@ _KEYS = ("id", "length_m", "position", "quat_xyzw", "corners", "sigma_m")
 
 
 class KnownMarker(NamedTuple):
-    """A marker of a map.
-
-    Attributes:
-        map_from_marker: (4, 4), in metres.
-        sigma_m: standard deviation of its position along each axis.
-    """
+    """A marker of a map."""
 
     id: int
     length_m: float
-    map_from_marker: Floats
-    sigma_m: float
+    map_from_marker: Floats  # (4, 4), in metres
+    sigma_m: float  # standard deviation of its position along each axis
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerMap:
-    """Markers whose poses are known.
-
-    Attributes:
-        dictionary: as for `vo markers`, `auto` if the file does not name it.
-    """
+    """Markers whose poses are known."""
 
     name: str
-    dictionary: str
+    dictionary: str  # as for `vo markers`, `auto` if the file does not name it
     markers: Mapping[int, KnownMarker]
 
 

@@ -16,25 +16,18 @@ _SIZE_SIGMA = 0.003  # of the path itself: its scale drifts after the markers ar
 
 
 class PlacedMarker(NamedTuple):
-    """A marker in a world.
-
-    Attributes:
-        world_from_marker: (4, 4), in metres.
-        sigma_m: standard deviation of the position, all axes together, given the path.
-        first_frame: number of the first frame that shows it.
-        error: RMS distance of its corners from where they are predicted, in units of their
-            standard deviation.
-        sigma_rad: standard deviation of the rotation, all axes together, given the path.
-    """
+    """A marker in a world."""
 
     id: int
-    world_from_marker: Floats
-    sigma_m: float
+    world_from_marker: Floats  # (4, 4), in metres
+    sigma_m: float  # standard deviation of the position, all axes together, given the path
     views: int
-    first_frame: int
+    first_frame: int  # number of the first frame that shows it
     last_frame: int
+    # RMS distance of its corners from where they are predicted, in units of their standard
+    # deviation
     error: float
-    sigma_rad: float
+    sigma_rad: float  # standard deviation of the rotation, all axes together, given the path
     length_m: float
 
 
@@ -51,13 +44,10 @@ def fit_scale(
 ) -> ScaleFit | None:
     """The scale and the markers of one world.
 
-    Args:
-        views: of its markers, in time order.
-        world_from_cam0: (N, 4, 4) pose of each, in units of the map.
-        is_metric: whether these units are metres: the scale is then a check.
+    `world_from_cam0`: (N, 4, 4) pose of each, in units of the map. `is_metric`: whether these units
+    are metres: the scale is then a check.
 
-    Returns:
-        None with too few views of any marker.
+    Returns None with too few views of any marker.
     """
     counts = {n: sum(view.id == n for view in views) for n in sorted({view.id for view in views})}
     ids = [number for number, count in counts.items() if count >= _MIN_VIEWS]

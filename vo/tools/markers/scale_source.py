@@ -42,16 +42,12 @@ _METRIC_SIGMA = 0.003  # relative, of a path in metres
 class MarkerSource:
     """Finds markers during a run, and the scale of each world by them at its end.
 
-    Attributes:
-        newest: markers that the newest frame shows once, and ids that it shows several times.
-
-    Args:
-        markers: side of the black squares in metres, or a map; of a map, other markers are left
-            out, and its frame becomes that of the worlds that show it.
-        dictionary: as for `vo markers`.
-        is_metric: whether the path is in metres already, as in stereo: then only their poses are
-            found, and a contradiction is reported.
-        origin: id of the marker whose frame becomes that of its world, None for no change.
+    `newest`: markers that the newest frame shows once, and ids that it shows several times.
+    `markers`: side of the black squares in metres, or a map; of a map, other markers are left out,
+    and its frame becomes that of the worlds that show it. `dictionary`: as for `vo markers`.
+    `is_metric`: whether the path is in metres already, as in stereo: then only their poses are
+    found, and a contradiction is reported. `origin`: id of the marker whose frame becomes that of
+    its world, None for no change.
 
     Raises:
         ConfigError: an implausible length, or an unknown dictionary.
@@ -149,8 +145,7 @@ class MarkerSource:
     def new_worlds(self, scales: Mapping[int, MetricScale]) -> NewWorlds:
         """New frames of worlds, and why there are none.
 
-        Args:
-            scales: by which the worlds have been converted, perhaps those of another source.
+        `scales`: by which the worlds have been converted, perhaps those of another source.
         """
         if self._map is not None:
             return frames_of_map(self._map, self._found, scales, self._worlds)
@@ -161,9 +156,7 @@ class MarkerSource:
     def write(self, folder: Path, scales: Mapping[int, MetricScale]) -> None:
         """Write markers.csv: the markers whose pose in a world is known, in metres.
 
-        Args:
-            folder: of the results.
-            scales: by which the worlds have been converted, perhaps those of another source.
+        `scales`: by which the worlds have been converted, perhaps those of another source.
 
         Raises:
             OutputError: it cannot be written.

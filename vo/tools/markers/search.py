@@ -21,11 +21,8 @@ _ENLARGED, _MAX_PIXELS = 4.0, 3e7
 class MarkerFinder:
     """Finds markers and their poses in the images of one camera.
 
-    Args:
-        detector: of the dictionary.
-        length_m: side of the black square; None for no poses.
-        camera: of the images; None for no poses.
-        board: that the markers belong to, None for single ones.
+    `length_m`: side of the black square; None for no poses. `camera`: of the images; None for no
+    poses. `board`: that the markers belong to, None for single ones.
     """
 
     def __init__(

@@ -26,18 +26,12 @@ _COLUMNS = (
 
 
 class FoundMarker(NamedTuple):
-    """A marker in a world.
+    """A marker in a world."""
 
-    Attributes:
-        world: number of the world.
-        marker: its pose, in metres by the sides of markers.
-        metres_per_unit: these metres in a unit of the map.
-        is_used: whether it may place the world: it agrees with the map of markers, if there is one.
-    """
-
-    world: int
-    marker: PlacedMarker
-    metres_per_unit: float
+    world: int  # number of the world
+    marker: PlacedMarker  # its pose, in metres by the sides of markers
+    metres_per_unit: float  # these metres in a unit of the map
+    # whether it may place the world: it agrees with the map of markers, if there is one
     is_used: bool = True
 
     def in_metres(self, scales: Mapping[int, MetricScale]) -> PlacedMarker:
@@ -51,16 +45,11 @@ class FoundMarker(NamedTuple):
 
 
 class NewWorlds(NamedTuple):
-    """Other frames of worlds.
+    """Other frames of worlds."""
 
-    Attributes:
-        poses: (4, 4) new_from_world by number of the world, in metres.
-        notes: sentences for the user, why others have none.
-    """
-
-    poses: Mapping[int, Floats] = {}
+    poses: Mapping[int, Floats] = {}  # (4, 4) new_from_world by number of the world, in metres
     frames: tuple[WorldFrame, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # sentences for the user, why others have none
 
 
 def frames_of_marker(
@@ -118,12 +107,8 @@ def write_markers(
 ) -> None:
     """Write markers.csv: the markers whose pose in a world is known, in metres.
 
-    Args:
-        folder: of the results.
-        found: the markers.
-        worlds: (4, 4) new_from_world of worlds with another frame, by number.
-        scales: by which the worlds have been converted.
-        dictionary: of the markers.
+    `worlds`: (4, 4) new_from_world of worlds with another frame, by number. `scales`: by which the
+    worlds have been converted.
 
     Raises:
         OutputError: it cannot be written.

@@ -53,12 +53,9 @@ def make_object(
 ) -> tuple[StoredObject, Floats32]:
     """An object, and the centre of the descriptors of its database.
 
-    Args:
-        name: of it.
-        images: names for messages, and (H, W) uint8.
-        width_m: of what the first image shows, None if it is not known.
-        extractors: of the database.
-        centre: of the descriptors of the database, None if this is its first object.
+    `images`: names for messages, and (H, W) uint8. `width_m`: of what the first image shows, None
+    if it is not known. `centre`: of the descriptors of the database, None if this is its first
+    object.
 
     Raises:
         InputError: it cannot be recognised, or a value is unusable.

@@ -20,9 +20,7 @@ _MAX_ZOOM = float(np.log(2.0))
 def moves(stored: tuple[Floats32, ...], scene: tuple[Floats32, ...]) -> Floats:
     """(n, 8) motions of matches, for `best_agreement` and `largest_agreements`.
 
-    Args:
-        stored: pixels (n, 2), angles (n,) in radians and sizes (n,) of the stored features.
-        scene: the same of the features of a scene.
+    `stored`: pixels (n, 2), angles (n,) in radians and sizes (n,) of the stored features.
     """
     turn = (scene[1] - stored[1]).astype(np.float64)
     zoom = np.log(scene[2].astype(np.float64) / stored[2])
@@ -34,9 +32,8 @@ def moves(stored: tuple[Floats32, ...], scene: tuple[Floats32, ...]) -> Floats:
 def best_agreement(motion: Floats, place: Ints) -> Bools:
     """(n,) which matches agree with the one that agrees with most places.
 
-    Args:
-        motion: (n, 8) of `moves`, at least one.
-        place: (n,) numbers from 0; matches of one place count once.
+    `motion`: (n, 8) of `moves`, at least one. `place`: (n,) numbers from 0; matches of one place
+    count once.
     """
     best = _most_supported(motion, place.astype(np.int64), int(place.max()) + 1)
     return np.asarray(_supporters(motion, best))
@@ -46,11 +43,8 @@ def best_agreement(motion: Floats, place: Ints) -> Bools:
 def largest_agreements(motion, weight, begin, tried):  # type: ignore[no-untyped-def]
     """(groups,) largest sum of weights of matches that agree with one of their group.
 
-    Args:
-        motion: (n, 8) of `moves`, sorted by group.
-        weight: (n,) of the matches.
-        begin: (groups + 1,) first row of each group.
-        tried: matches of a group that are tried as its motion, the heaviest.
+    `motion`: (n, 8) of `moves`, sorted by group. `weight`: (n,) of the matches. `begin`: (groups +
+    1,) first row of each group.
     """
     largest = np.zeros(len(begin) - 1, dtype=np.float64)
     for group in range(len(begin) - 1):

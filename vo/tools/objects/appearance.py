@@ -29,10 +29,7 @@ def likeness(image: Bytes, part: Part, homography: Floats) -> float:
     Each cell is compared by itself, so that light may differ and a part may be hidden; cells
     outside the image count as different.
 
-    Args:
-        image: (H, W) uint8 scene.
-        part: flat side.
-        homography: (3, 3) its pixels to those of the scene.
+    `image`: (H, W) uint8 scene. `homography`: (3, 3) its pixels to those of the scene.
     """
     small = part.thumbnail
     scale = np.array(part.image_size) / np.array(small.shape[1::-1])

@@ -38,19 +38,12 @@ _Keys = NDArray[np.uint16]
 
 
 class IndexedFeatures(NamedTuple):
-    """Features as the index compares them; rows belong together.
+    """Features as the index compares them; rows belong together."""
 
-    Attributes:
-        code: (N, 4) words of 64 bits.
-        xy: (N, 2) pixels.
-        angle: (N,) radians, NaN without orientation.
-        size: (N,) relative to the smallest features.
-    """
-
-    code: Codes
-    xy: Floats32
-    angle: Floats32
-    size: Floats32
+    code: Codes  # (N, 4) words of 64 bits
+    xy: Floats32  # (N, 2) pixels
+    angle: Floats32  # (N,) radians, NaN without orientation
+    size: Floats32  # (N,) relative to the smallest features
 
 
 class CandidateIndex:

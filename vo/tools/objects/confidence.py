@@ -19,10 +19,8 @@ FLAT_WEIGHTS = (-18.0, 3.52, 3.34, 16.6)
 def evidence(inliers: int, coverage: float, likeness: float) -> tuple[float, float, float]:
     """What the confidence of a flat instance is computed from.
 
-    Args:
-        inliers: matches at different places that agree.
-        coverage: ratio of the side inside the hull of these.
-        likeness: ratio of the cells that look like the stored image.
+    `inliers`: matches at different places that agree. `coverage`: ratio of the side inside the hull
+    of these. `likeness`: ratio of the cells that look like the stored image.
     """
     return float(np.log(max(inliers, 1))), coverage, likeness
 

@@ -38,13 +38,9 @@ _PREPARED = 64  # parts that are kept ready for matching
 class ObjectDatabase:
     """Objects by name.
 
-    Args:
-        detector: value of `features.detector`.
-        descriptor: value of `features.descriptor`.
-
-    Attributes:
-        threads: number of threads of a search, by default that of the cores; results do not depend
-            on it.
+    `detector`: value of `features.detector`. `descriptor`: value of `features.descriptor`.
+    `threads`: number of threads of a search, by default that of the cores; results do not depend on
+    it.
 
     Raises:
         ConfigError: this installation lacks them, or they do not go together.
@@ -109,12 +105,9 @@ class ObjectDatabase:
     ) -> StoredObject:
         """Add an object.
 
-        Args:
-            name: unique.
-            images: (H, W) uint8, which show nothing but the object: the same flat side from several
-                places, or several sides.
-            width_m: width of what the first image shows, in metres; None if it is not known.
-            image_names: of the images, for messages.
+        `images`: (H, W) uint8, which show nothing but the object: the same flat side from several
+        places, or several sides. `width_m`: width of what the first image shows, in metres; None if
+        it is not known.
 
         Raises:
             InputError: the name is taken or unusable, an image is too small, has too little
@@ -150,10 +143,8 @@ class ObjectDatabase:
     ) -> list[FoundObject]:
         """Instances of the objects in an image, the most confident first.
 
-        Args:
-            image: (H, W) uint8.
-            camera: its calibration, for poses; pixels of the results are those of the image.
-            threshold: minimum confidence.
+        `image`: (H, W) uint8. `camera`: its calibration, for poses; pixels of the results are those
+        of the image.
 
         Raises:
             InputError: the database is empty.

@@ -41,19 +41,13 @@ _ROWS = ("xy", "descriptor", "code", "angle", "size")  # of equal length
 
 
 class FileContents(NamedTuple):
-    """What is in a file.
+    """What is in a file."""
 
-    Attributes:
-        detector: value of `features.detector`.
-        descriptor: value of `features.descriptor`.
-        centre: (width,) of the descriptors' unit vectors; None without objects so far.
-        objects: in the order in which they were added.
-    """
-
-    detector: str
-    descriptor: str
+    detector: str  # value of `features.detector`
+    descriptor: str  # value of `features.descriptor`
+    # (width,) of the descriptors' unit vectors; None without objects so far
     centre: Floats32 | None
-    objects: tuple[StoredObject, ...]
+    objects: tuple[StoredObject, ...]  # in the order in which they were added
 
 
 def write_objects(path: Path, contents: FileContents) -> None:

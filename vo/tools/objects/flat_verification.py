@@ -38,21 +38,13 @@ _PLACE_PX = 1.0  # features nearer than this are at the same place
 
 
 class FlatInstance(NamedTuple):
-    """An instance of a flat side.
+    """An instance of a flat side."""
 
-    Attributes:
-        homography: (3, 3) pixels of the stored image to those of the scene.
-        outline: (4, 2) pixels of its corners.
-        inliers: matches at different places that agree.
-        coverage: ratio of the side inside the hull of these.
-        likeness: ratio of the side's cells that look like the scene.
-    """
-
-    homography: Floats
-    outline: Floats
-    inliers: int
-    coverage: float
-    likeness: float
+    homography: Floats  # (3, 3) pixels of the stored image to those of the scene
+    outline: Floats  # (4, 2) pixels of its corners
+    inliers: int  # matches at different places that agree
+    coverage: float  # ratio of the side inside the hull of these
+    likeness: float  # ratio of the side's cells that look like the scene
     matches: PartMatches
 
 

@@ -18,17 +18,11 @@ _PLACE_PX = 3.0  # several matches of a place so large count once as they move a
 
 
 class PartMatches(NamedTuple):
-    """Matches; rows belong together.
+    """Matches; rows belong together."""
 
-    Attributes:
-        scene: (n,) rows of the scene's features.
-        part: (n,) rows of the part's features; one may occur several times.
-        ratio: (n,) squared distance relative to that of another place; lower is better.
-    """
-
-    scene: Ints
-    part: Ints
-    ratio: Floats
+    scene: Ints  # (n,) rows of the scene's features
+    part: Ints  # (n,) rows of the part's features; one may occur several times
+    ratio: Floats  # (n,) squared distance relative to that of another place; lower is better
 
     def select(self, rows: Ints | Bools) -> PartMatches:
         """Some of them."""
@@ -36,21 +30,13 @@ class PartMatches(NamedTuple):
 
 
 class PartVectors(NamedTuple):
-    """A part as it is matched; rows belong together.
+    """A part as it is matched; rows belong together."""
 
-    Attributes:
-        vector: (N, width) unit vectors.
-        xy: (N, 2) pixels of the stored image.
-        angle: (N,) radians, NaN without orientation.
-        size: (N,) relative to the smallest features.
-        same: (N, N) which features are at the same place.
-    """
-
-    vector: Floats32
-    xy: Floats32
-    angle: Floats32
-    size: Floats32
-    same: Bools
+    vector: Floats32  # (N, width) unit vectors
+    xy: Floats32  # (N, 2) pixels of the stored image
+    angle: Floats32  # (N,) radians, NaN without orientation
+    size: Floats32  # (N,) relative to the smallest features
+    same: Bools  # (N, N) which features are at the same place
 
 
 def part_vectors(part: Part) -> PartVectors:
@@ -82,10 +68,8 @@ def match_part(scene: SceneFeatures, part: PartVectors) -> PartMatches:
 def _ratios(likeness, nearest, same):  # type: ignore[no-untyped-def]
     """(n,) squared distances of the nearest relative to those of the nearest at another place.
 
-    Args:
-        likeness: (n, N) scalar products of unit vectors.
-        nearest: (n,) columns of the largest ones.
-        same: (N, N) which columns are of the same place.
+    `likeness`: (n, N) scalar products of unit vectors. `nearest`: (n,) columns of the largest ones.
+    `same`: (N, N) which columns are of the same place.
     """
     ratio = np.empty(len(likeness), dtype=np.float64)
     for n in range(len(likeness)):

@@ -22,11 +22,8 @@ def write_objects_picture(
 ) -> None:
     """Draw outlines, names and confidences; where the pose is known, the axes of the object.
 
-    Args:
-        path: PNG or JPEG file.
-        image: (H, W) uint8.
-        found: what is drawn.
-        tracks: number of each, which gives the colour.
+    `path`: PNG or JPEG file. `image`: (H, W) uint8. `tracks`: number of each, which gives the
+    colour.
 
     Raises:
         OutputError: the file cannot be written.

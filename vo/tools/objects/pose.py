@@ -33,12 +33,7 @@ def with_pose(
 ) -> FoundObject:
     """The instance with its pose, if the size of the part is known, and its outline as recorded.
 
-    Args:
-        found: instance in an image without distortion.
-        part: what it is an instance of.
-        scene: features of that image.
-        matches: those that agree.
-        camera: as recorded.
+    `found`: instance in an image without distortion.
     """
     pose = None
     if np.isfinite(part.unit_m):

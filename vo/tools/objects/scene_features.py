@@ -28,21 +28,13 @@ _SEED = 34
 
 @dataclass(frozen=True, eq=False)
 class SceneFeatures:
-    """Features of an image in which objects are searched; rows belong together.
+    """Features of an image in which objects are searched; rows belong together."""
 
-    Attributes:
-        xy: (N, 2) pixels.
-        angle: (N,) radians, NaN without orientation.
-        size: (N,) relative to the smallest features; 1 without scale.
-        descriptor: (N, width).
-        vector: (N, width) unit vectors.
-    """
-
-    xy: Floats32
-    angle: Floats32
-    size: Floats32
-    descriptor: Descriptors
-    vector: Floats32
+    xy: Floats32  # (N, 2) pixels
+    angle: Floats32  # (N,) radians, NaN without orientation
+    size: Floats32  # (N,) relative to the smallest features; 1 without scale
+    descriptor: Descriptors  # (N, width)
+    vector: Floats32  # (N, width) unit vectors
 
     def __len__(self) -> int:
         return len(self.xy)

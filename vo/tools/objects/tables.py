@@ -19,15 +19,10 @@ _HEADING = (
 
 
 class FrameObjects(NamedTuple):
-    """Objects in a frame.
+    """Objects in a frame."""
 
-    Attributes:
-        frame: its number, 0 for an image.
-        stamp_ns: its time, None for an image.
-    """
-
-    frame: int
-    stamp_ns: int | None
+    frame: int  # its number, 0 for an image
+    stamp_ns: int | None  # its time, None for an image
     found: Sequence[FoundObject]
     tracks: Sequence[int]
 

@@ -17,22 +17,15 @@ _MAX_GAP = 15  # frames that an instance may be hidden
 
 @dataclass
 class Track:
-    """An instance through a recording.
+    """An instance through a recording."""
 
-    Attributes:
-        id: from 0.
-        first: number of the first frame.
-        last: number of the last frame.
-        outline: (M, 2) in the last frame.
-    """
-
-    id: int
+    id: int  # from 0
     name: str
-    first: int
-    last: int
+    first: int  # number of the first frame
+    last: int  # number of the last frame
     frames: int
     confidence: float
-    outline: Floats
+    outline: Floats  # (M, 2) in the last frame
 
 
 class ObjectTracker:
@@ -45,9 +38,7 @@ class ObjectTracker:
     def update(self, frame: int, found: Sequence[FoundObject]) -> list[int]:
         """The id of each report of a frame.
 
-        Args:
-            frame: its number, larger than that before.
-            found: what is reported.
+        `frame`: its number, larger than that before.
         """
         oldest = self._before[-_MAX_GAP] if len(self._before) >= _MAX_GAP else -1
         self._before.append(frame)

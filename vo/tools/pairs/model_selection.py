@@ -29,12 +29,9 @@ def fit_best(
 
     Of a homography and an essential matrix, or, without calibration, a fundamental matrix.
 
-    Args:
-        first: (N, 2) pixels without lens distortion; rows with NaN are left out.
-        second: (N, 2) the same in the second image.
-        matrices: (3, 3) camera matrices of both images, None if they are unknown.
-        options: robust method.
-        quality: (N,) lower is better, such as the distances of the descriptors, for PROSAC.
+    `first`: (N, 2) pixels without lens distortion; rows with NaN are left out. `second`: (N, 2) the
+    same in the second image. `matrices`: (3, 3) camera matrices of both images, None if they are
+    unknown. `quality`: (N,) lower is better, such as the distances of the descriptors, for PROSAC.
     """
     if matrices is None:
         lines = fit_fundamental(first, second, options, quality)
@@ -62,10 +59,8 @@ def gric(fit: Fit, rows: Bools, threshold_px: float) -> float:
     Source: Torr, "An assessment of information criteria for motion model selection", CVPR 1997,
     with the weights of Torr, "Geometric motion segmentation and model selection", 1998.
 
-    Args:
-        fit: the model.
-        rows: (N,) matches to explain, the same for all models that are compared.
-        threshold_px: maximum Sampson distance of an inlier.
+    `rows`: (N,) matches to explain, the same for all models that are compared. `threshold_px`:
+    maximum Sampson distance of an inlier.
     """
     dimension, count = _DIMENSION[fit.kind], int(rows.sum())
     squared = (fit.error_px[rows] * _SIGMAS / threshold_px) ** 2

@@ -20,23 +20,14 @@ MATCHERS = (*get_args(MatchingName), "gms")
 
 
 class PairChoices(TypedDict, total=False):
-    """Choices for two images; None or a missing one leaves the settings as they are.
+    """Choices for two images; None or a missing one leaves the settings as they are."""
 
-    Attributes:
-        detector: value of `features.detector`.
-        descriptor: value of `features.descriptor`.
-        matcher: value of `matching.method`, or `gms`.
-        ratio: value of `matching.ratio`.
-        cross_check: value of `matching.cross_check`.
-        model: `auto`, `f`, `e` or `h`.
-    """
-
-    detector: str | None
-    descriptor: str | None
-    matcher: str | None
-    ratio: float | None
-    cross_check: bool | None
-    model: str | None
+    detector: str | None  # value of `features.detector`
+    descriptor: str | None  # value of `features.descriptor`
+    matcher: str | None  # value of `matching.method`, or `gms`
+    ratio: float | None  # value of `matching.ratio`
+    cross_check: bool | None  # value of `matching.cross_check`
+    model: str | None  # `auto`, `f`, `e` or `h`
     method: str | None
     threshold_px: float | None
 
@@ -46,10 +37,7 @@ def pair_options(
 ) -> PairOptions:
     """The options for `match_images`.
 
-    Args:
-        config: settings, changed by the choices.
-        choices: single choices.
-        cameras: of both images, None if they are unknown.
+    `config`: settings, changed by the choices. `cameras`: of both images, None if they are unknown.
 
     Raises:
         ConfigError: a choice is unknown or out of range.
@@ -94,10 +82,8 @@ def pair_cameras(
 ) -> tuple[Camera, Camera] | None:
     """The cameras of two images, None if they are unknown.
 
-    Args:
-        rig: of a calibration that was given.
-        own: calibrations that the images bring along, used without a given one.
-        right: whether the second image is of the right camera.
+    `rig`: of a calibration that was given. `own`: calibrations that the images bring along, used
+    without a given one. `right`: whether the second image is of the right camera.
 
     Raises:
         CalibrationError: the right camera is not known.
@@ -120,10 +106,8 @@ def pair_masks(
 ) -> tuple[Bytes | None, Bytes | None]:
     """Masks (H, W) that the settings give for two images, 0 where no feature may lie.
 
-    Args:
-        config: settings, of which `masks` is used.
-        images: both images.
-        right: whether the second image is of the right camera; otherwise both are of the left one.
+    `config`: settings, of which `masks` is used. `right`: whether the second image is of the right
+    camera; otherwise both are of the left one.
 
     Raises:
         ConfigError: a mask is missing, damaged or of another size, or nothing is left.

@@ -28,12 +28,8 @@ def write_pair_picture(
 ) -> None:
     """Draw both images side by side: features grey, inliers green, other matches red.
 
-    Args:
-        path: PNG or JPEG file.
-        images: (H, W) uint8.
-        pair: what was found in them.
-        epipolar: draw lines of some inliers in either image, in the colour of their point in the
-            other one.
+    `path`: PNG or JPEG file. `images`: (H, W) uint8. `epipolar`: draw lines of some inliers in
+    either image, in the colour of their point in the other one.
 
     Raises:
         OutputError: the file cannot be written.

@@ -78,12 +78,9 @@ def relative_pose(
     one side and in front (Malis and Vargas 2007). Matches beside the plane decide between them; if
     there are none, both are returned.
 
-    Args:
-        fit: model of pixels without lens distortion.
-        first: (N, 2) ideal pixels of the matches, as they were fitted.
-        second: (N, 2) the same in the second image.
-        matrices: (3, 3) camera matrices of both images.
-        threshold_px: Sampson distance of matches that fit a motion.
+    `fit`: model of pixels without lens distortion. `first`: (N, 2) ideal pixels of the matches, as
+    they were fitted. `second`: (N, 2) the same in the second image. `matrices`: (3, 3) camera
+    matrices of both images. `threshold_px`: Sampson distance of matches that fit a motion.
     """
     finite = np.isfinite(first).all(axis=1) & np.isfinite(second).all(axis=1)
     inliers = _Views(first, second, matrices).select(fit.inlier)

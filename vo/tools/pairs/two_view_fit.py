@@ -59,20 +59,16 @@ _MIN_WIDTH = 0.5  # of the scatter across a line, in thresholds; with less, poin
 
 
 class _Model(NamedTuple):
-    """How a kind of model is found.
-
-    Attributes:
-        find: OpenCV's function; its results, (3, 3) or stacked ones, for some points.
-        refine: improves it by matches, all of which are right.
-        in_pixels: the same matrix for pixels.
-    """
+    """How a kind of model is found."""
 
     kind: ModelKind
     sample: int
     needed: int
+    # OpenCV's function; its results, (3, 3) or stacked ones, for some points
     find: Callable[[Floats, Floats], Any]
+    # improves it by matches, all of which are right
     refine: Callable[[Floats, Floats, Floats], Floats]
-    in_pixels: Callable[[Floats], Floats] = np.asarray
+    in_pixels: Callable[[Floats], Floats] = np.asarray  # the same matrix for pixels
 
     def errors(self, matrix: Floats, first: Floats, second: Floats) -> Floats:
         """Sampson distances (N,) of pixels (N, 2) in px."""
@@ -98,11 +94,9 @@ def fit_fundamental(
 ) -> Fit | FitFailure:
     """Fundamental matrix of matched pixels.
 
-    Args:
-        first: (N, 2) pixels without lens distortion; rows with NaN are left out.
-        second: (N, 2) the same in the second image.
-        options: robust method.
-        quality: (N,) lower is better, such as the distances of the descriptors, for PROSAC.
+    `first`: (N, 2) pixels without lens distortion; rows with NaN are left out. `second`: (N, 2) the
+    same in the second image. `quality`: (N,) lower is better, such as the distances of the
+    descriptors, for PROSAC.
     """
 
     def find(a: Floats, b: Floats) -> Any:
@@ -138,13 +132,9 @@ def fit_essential(
 
     Source: Nister, "An efficient solution to the five-point relative pose problem", PAMI 2004.
 
-    Args:
-        first: (N, 2) ideal pixels (`vo.base.geometry.cameras.ideal_pixels`); rows with NaN are left
-            out.
-        second: (N, 2) the same in the second image.
-        matrices: (3, 3) camera matrices of both images.
-        options: robust method.
-        quality: (N,) lower is better, such as the distances of the descriptors, for PROSAC.
+    `first`: (N, 2) ideal pixels (`vo.base.geometry.cameras.ideal_pixels`); rows with NaN are left
+    out. `second`: (N, 2) the same in the second image. `matrices`: (3, 3) camera matrices of both
+    images. `quality`: (N,) lower is better, such as the distances of the descriptors, for PROSAC.
     """
     inverse_first, inverse_second = (inverse_matrix(matrix) for matrix in matrices)
     focal_px = float(np.mean([np.diag(matrix)[:2] for matrix in matrices]))
@@ -191,11 +181,9 @@ def fit_homography(
 ) -> Fit | FitFailure:
     """Homography of matched pixels.
 
-    Args:
-        first: (N, 2) pixels without lens distortion; rows with NaN are left out.
-        second: (N, 2) the same in the second image.
-        options: robust method.
-        quality: (N,) lower is better, such as the distances of the descriptors, for PROSAC.
+    `first`: (N, 2) pixels without lens distortion; rows with NaN are left out. `second`: (N, 2) the
+    same in the second image. `quality`: (N,) lower is better, such as the distances of the
+    descriptors, for PROSAC.
     """
 
     def find(a: Floats, b: Floats) -> Any:

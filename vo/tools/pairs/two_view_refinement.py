@@ -73,11 +73,8 @@ def refine_motion(
 ) -> Motion:
     """The motion nearby with the least sum of squared Sampson distances of pixels (N, 2).
 
-    Args:
-        motion: first guess.
-        first: (N, 2) ideal pixels.
-        second: (N, 2) ideal pixels.
-        matrices: (3, 3) camera matrices of the first and the second image.
+    `first`: (N, 2) ideal pixels. `second`: (N, 2) ideal pixels. `matrices`: (3, 3) camera matrices
+    of the first and the second image.
     """
     inverse_first, inverse_second = (np.linalg.inv(matrix) for matrix in matrices)
 

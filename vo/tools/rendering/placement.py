@@ -23,19 +23,12 @@ _Z_UP_FROM_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Where a model stands.
+    """Where a model stands."""
 
-    Attributes:
-        foot: (3,) middle of its underside in the world.
-        size: its largest extent there, None for its own.
-        up: axis of the model that points up: `y`, `z` or `-y`.
-        world_up: axis of the world that points up: `z` where gravity is known, else `-y`.
-    """
-
-    foot: Floats
-    size: float | None = None
-    up: str = "y"
-    world_up: str = "-y"
+    foot: Floats  # (3,) middle of its underside in the world
+    size: float | None = None  # its largest extent there, None for its own
+    up: str = "y"  # axis of the model that points up: `y`, `z` or `-y`
+    world_up: str = "-y"  # axis of the world that points up: `z` where gravity is known, else `-y`
 
 
 def axes() -> Mesh:

@@ -22,13 +22,8 @@ def draw(
     Vertices are distorted by the lens, edges between them are straight. Nothing in the image hides
     the model.
 
-    Args:
-        image: (H, W, 3) uint8 BGR.
-        camera: of the image as recorded.
-        vertices: (V, 3) in the frame of the camera.
-        triangles: (T, 3).
-        rgb: (V, 3).
-        shade: (T,) brightness of each triangle.
+    `image`: (H, W, 3) uint8 BGR. `vertices`: (V, 3) in the frame of the camera. `triangles`: (T,
+    3). `rgb`: (V, 3). `shade`: (T,) brightness of each triangle.
     """
     size = float(np.ptp(vertices, axis=0).max())
     depth = vertices[:, 2]
