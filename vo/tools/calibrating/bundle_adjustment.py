@@ -67,7 +67,7 @@ class AdjustmentResult:
     """Result of a bundle adjustment."""
 
     parameters: Parameters
-    # standard deviations of the cameras' parameters, scaled by the residuals; without those of the
+    # Standard deviations of the cameras' parameters, scaled by the residuals; without those of the
     # poses
     sigmas: Parameters
     # (N, 2) per observation: observed minus projected corners, in pixels

@@ -41,7 +41,7 @@ class CalibrationResult:
     fit: Fit  # the views, corners, residuals and standard deviations
     # RMS error of each compared lens model by name, for each camera
     compared_rms_px: tuple[dict[str, float], ...]
-    # frame number and RMS distance from epipolar lines, with two cameras
+    # Frame number and RMS distance from epipolar lines, with two cameras
     epipolar_px: tuple[tuple[int, float], ...] = ()
 
     def observations_of(self, camera: int) -> list[tuple[Observation, Floats]]:

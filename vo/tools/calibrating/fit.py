@@ -42,11 +42,11 @@ class Fit:
     """A calibration and the observations behind it."""
 
     lenses: tuple[LensModel, ...]
-    # the observations used; their views are numbered as the poses
+    # The observations used; their views are numbered as the poses
     observations: tuple[Observation, ...]
     frames: tuple[int, ...]  # frame number of each view
     adjustment: AdjustmentResult
-    # frame numbers of outlier views, with their errors in pixels
+    # Frame numbers of outlier views, with their errors in pixels
     dropped: tuple[tuple[int, float], ...] = ()
     dropped_corners: int = 0  # number of single outlier corners
 

@@ -32,7 +32,7 @@ class View:
 
     frame: int  # frame number in the recording
     stamp_ns: int
-    # the board in camera 0 and camera 1; None where it is not found
+    # The board in camera 0 and camera 1; None where it is not found
     detections: tuple[Detection | None, ...]
 
 

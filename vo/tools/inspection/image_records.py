@@ -67,7 +67,7 @@ class PairReport:
     right_alone: int
     offset_ms: float  # median of right stamp minus left stamp
     offsets_ms: tuple[float, float]  # smallest and largest offset
-    # number of pairs by offset in milliseconds (lower edge of the bin)
+    # Number of pairs by offset in milliseconds (lower edge of the bin)
     histogram: tuple[tuple[float, int], ...]
     tolerance_ms: float  # largest offset of a pair
 
@@ -84,14 +84,14 @@ class StereoReport:
     positive: float  # fraction of points with positive disparity, as expected
     disparity_px: float  # median
     depth_m: float | None  # depth of that disparity; None without calibration
-    # error of the right camera's calibration, if significant
+    # Error of the right camera's calibration, if significant
     right_camera: RightCameraError | None = None
     is_same_camera: bool = False  # whether both images are of the same camera
-    # whether disparities are negative, and too large for a turned camera
+    # Whether disparities are negative, and too large for a turned camera
     are_exchanged: bool = False
-    # how the right image is mirrored or turned against the left one; the other values are then
+    # How the right image is mirrored or turned against the left one; the other values are then
     # those of the reverted image. Empty if it is not
     right_is: str = ""
-    # time at which right images were taken minus that of left ones of the same stamp, None unless
+    # Time at which right images were taken minus that of left ones of the same stamp, None unless
     # the motion shows one
     time_offset_ms: float | None = None

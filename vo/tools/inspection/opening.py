@@ -58,10 +58,10 @@ class OpenedRecording:
     unread: tuple[UnreadTopic, ...] = ()
     imus: tuple[Imu, ...] = ()
     source: SourceSequence | None = None  # the source as `vo run` opens it; None if it refuses
-    # the calibration, even if `vo run` refuses for another reason; None if unknown
+    # The calibration, even if `vo run` refuses for another reason; None if unknown
     rig: Rig | None = None
     calibration: str = ""  # file and format of the calibration; empty if it is not a file
-    # ground truth poses of cam0; of a log without images, its poses as logged
+    # Ground truth poses of cam0; of a log without images, its poses as logged
     truth: Trajectory | None = None
     pose_names: tuple[str, ...] = ()  # topics with poses of a log, and pairs of frames that move
     refusal: str = ""  # the error message of `vo run`; empty if there is none

@@ -35,9 +35,9 @@ class LensReport:
     cx: float  # principal point, u
     cy: float  # principal point, v
     model: str
-    # horizontal and vertical field of view; None outside the range of the lens model
+    # Horizontal and vertical field of view; None outside the range of the lens model
     view_deg: tuple[float | None, float | None]
-    # time from the first to the last row of an image; 0 for a global shutter
+    # Time from the first to the last row of an image; 0 for a global shutter
     readout_s: float = 0.0
 
 
@@ -48,7 +48,7 @@ class CalibrationReport:
     lenses: tuple[LensReport, ...]
     baseline_m: float | None  # distance between the cameras; None with one camera
     is_rectified: bool | None  # whether the images are rectified already; None with one camera
-    # where cam1 is, seen from cam0: right, below, left, above, in front or behind; None with one
+    # Where cam1 is, seen from cam0: right, below, left, above, in front or behind; None with one
     # camera
     cam1_is: Place | None = None
     cam1_turned_deg: float | None = None  # rotation between the cameras; None with one camera
@@ -63,7 +63,7 @@ class TruthReport:
     span_s: float  # time from the first to the last
     rate_hz: float  # from the median interval
     path_m: float
-    # fraction of the left images between the first and the last pose in time; None without images
+    # Fraction of the left images between the first and the last pose in time; None without images
     covered: float | None
 
 
@@ -73,14 +73,14 @@ class ImuMotionReport:
 
     compared: int
     fits: bool  # whether both measure the same rotation
-    # what to add to the stamp of an image to get the same moment on the clock of the sensor; None
+    # What to add to the stamp of an image to get the same moment on the clock of the sensor; None
     # if they do not fit
     time_offset_ms: float | None
     time_offset_sd_ms: float | None
     given_offset_ms: float  # the offset in the calibration, 0 without one
-    # rows of the (3, 3) rotation that fits; None if they do not fit
+    # Rows of the (3, 3) rotation that fits; None if they do not fit
     cam0_from_imu_rotation: list[list[float]] | None
-    # angle between this rotation and that of the calibration; None without either. If all rotations
+    # Angle between this rotation and that of the calibration; None without either. If all rotations
     # are about one axis, the angle between its directions
     rotation_error_deg: float | None
     inverse_error_deg: float | None  # the same for the inverse of the calibration
@@ -104,17 +104,17 @@ class ImuReport:
     accel_m_s2: float  # mean norm of the specific force; about 9.81
     gyro_rad_s: float  # median norm of the angular rate
     gyro_high_rad_s: float  # 99th percentile of the same
-    # fraction of the left images during its measurements; None without images
+    # Fraction of the left images during its measurements; None without images
     covered: float | None
     cam0_from_imu: list[list[float]] | None  # rows of the (4, 4) transform; None if unknown
-    # mean specific force in the frame of cam0; None if its pose is unknown
+    # Mean specific force in the frame of cam0; None if its pose is unknown
     accel_cam0: list[float] | None = None
     gyro_saturated: float = 0.0  # fraction of samples at the end of the range of the gyroscope
     accel_saturated: float = 0.0
     clock_ahead_s: float | None = None  # first sample minus first image; None without images
-    # comparison with the images, of the first sensor only; None without one
+    # Comparison with the images, of the first sensor only; None without one
     motion: ImuMotionReport | None = None
-    # densities and random walks, as in `vo.base.types.ImuNoise`; None if unknown
+    # Densities and random walks, as in `vo.base.types.ImuNoise`; None if unknown
     noise: dict[str, float] | None = None
 
 
@@ -140,7 +140,7 @@ class Report:
     calibration: CalibrationReport | None  # the calibration, if there is one
     stereo: StereoReport | None  # comparison of left and right images; None without checked pairs
     truth: TruthReport | None  # the ground truth, if there is one
-    # topics of a log with poses, and `TOPIC:PARENT:CHILD` of frames that move
+    # Topics of a log with poses, and `TOPIC:PARENT:CHILD` of frames that move
     pose_topics: tuple[str, ...]
     has_depth: bool  # whether frames have depth images
     findings: tuple[Finding, ...]  # problems and remarks, the most serious first

@@ -43,7 +43,7 @@ class MapFit(NamedTuple):
     scale: float  # metres of the map in a metre by the sides of the markers
     relative_sigma: float
     used: tuple[int, ...]
-    # distance in metres from where the map has them, of those that do not, by id
+    # Distance in metres from where the map has them, of those that do not, by id
     refused: Mapping[int, float]
     contradicts_sides: bool  # whether the distances of the map contradict the sides of the markers
 

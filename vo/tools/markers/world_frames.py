@@ -31,7 +31,7 @@ class FoundMarker(NamedTuple):
     world: int  # number of the world
     marker: PlacedMarker  # its pose, in metres by the sides of markers
     metres_per_unit: float  # these metres in a unit of the map
-    # whether it may place the world: it agrees with the map of markers, if there is one
+    # Whether it may place the world: it agrees with the map of markers, if there is one
     is_used: bool = True
 
     def in_metres(self, scales: Mapping[int, MetricScale]) -> PlacedMarker:

@@ -66,7 +66,7 @@ class _Model(NamedTuple):
     needed: int
     # OpenCV's function; its results, (3, 3) or stacked ones, for some points
     find: Callable[[Floats, Floats], Any]
-    # improves it by matches, all of which are right
+    # Improves it by matches, all of which are right
     refine: Callable[[Floats, Floats, Floats], Floats]
     in_pixels: Callable[[Floats], Floats] = np.asarray  # the same matrix for pixels
 
