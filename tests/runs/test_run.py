@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,15 @@ import pytest
 from vo.base.config import Config, load_config
 from vo.base.errors import OutputError, SourceError
 from vo.base.geometry.similarity import umeyama
-from vo.base.types import Estimate, Rig, Trajectory
+from vo.base.types import Estimate, Mode, Rig, Trajectory
 from vo.engine.frontend.lazy_future import LazyFuture
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.odometry import Odometry
 from vo.outputs.recorders.recorder import TakeSnapshot
 from vo.outputs.results.summary import Summary
+from vo.recordings.formats.calibration.own import write_calibration
 from vo.recordings.formats.trajectory import read_tum
+from vo.recordings.sources.registry import open_source
 from vo.runs.run_recording import run
 
 FAST = load_config("fast")
@@ -92,6 +95,26 @@ def check_frames(rows: list[str], summary: Summary) -> None:
         assert stages[0] == pytest.approx(sum(stages[1:]), abs=0.01)  # the total comes first
     read_ms = np.median([float(row["read_ms"]) for row in table])
     assert read_ms == pytest.approx(summary.stages["read"].median_ms, abs=0.002)
+
+
+@pytest.mark.parametrize(("mode", "is_trusted"), [("stereo", False), ("mono", True)])
+def test_warnings_of_opening_are_in_the_summary(
+    synthetic_stereo: Path, tmp_path: Path, mode: Mode, is_trusted: bool
+) -> None:
+    """A doubtful calibration makes the path one; a baseline does not count for one camera."""
+    rig = open_source(synthetic_stereo).rig
+    assert rig.cam1_from_cam0 is not None
+    apart = rig.cam1_from_cam0.copy()
+    apart[:3, 3] *= 200.0
+    file = tmp_path / "far.yaml"
+    write_calibration(file, replace(rig, cam1_from_cam0=apart))
+    summary = run(
+        synthetic_stereo, tmp_path / "out", config=FAST, end=FRAMES, calibration=file, mode=mode
+    )
+    recorded = summary_in(tmp_path / "out")
+    assert any("if it is centimetres" in text for text in recorded["warnings"]) != is_trusted
+    assert summary.verdict.word == "not to be trusted" or is_trusted
+    assert any("baseline" in text for text in summary.closing_warnings) != is_trusted
 
 
 def test_smoothed_path_is_near_the_truth(synthetic_stereo: Path, tmp_path: Path) -> None:

@@ -25,10 +25,11 @@ from vo.cli.conversion_ground_truth import (
 )
 from vo.cli.conversion_imu import imu_around
 from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
+from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.images import ImageKind, is_colour
 from vo.recordings.sources.sequence import select_frames
 from vo.recordings.sources.source import Recording as SourceRecording
-from vo.tools.inspection.opening import OpenedRecording, collected_warnings, right_stamps
+from vo.tools.inspection.opening import OpenedRecording, right_stamps
 
 OnFrame = Callable[[int, int], None]
 _NS_PER_S = 1e9

@@ -95,7 +95,7 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
         lambda: {**summary.to_dict(), **record}, lambda: print_summary(summary, files, console)
     )
     if printing.json_output or printing.quiet:
-        for warning in summary.warnings:
+        for warning in summary.closing_warnings:
             errors.print(f"warning: {warning}", markup=False, soft_wrap=True)
 
 

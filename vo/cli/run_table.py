@@ -50,7 +50,7 @@ def print_summary(summary: Summary, files: WrittenFiles, console: Console | None
     console.print(f"[bold]{'result':<10} {colour}{escape(sentence)}[/][/]", soft_wrap=True)
     for name, value in (*_facts(summary), *_files(files)):
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
-    lines = [("[yellow]warning:[/]", warning) for warning in summary.warnings]
+    lines = [("[yellow]warning:[/]", warning) for warning in summary.closing_warnings]
     lines += [("[cyan]try:[/]", line) for line in advice(summary, is_recorded=rrd is not None)]
     lines += [("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd)]
     for label, line in lines:

@@ -30,6 +30,7 @@ from vo.outputs.results.output_paths import (
 )
 from vo.outputs.results.summary import Summary
 from vo.outputs.streaming.streams import PoseStreams, opened_streams
+from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
@@ -76,9 +77,11 @@ def run(
     """
     options = RunOptions.of(given)
     _check_outputs(source, output, config, options)
-    stream = _open(source, config, options)
-    _check_readout(stream, config)
-    opened, components = _with_imu(_opened(source, stream, config, options))
+    with collected_warnings(are_shown=True) as warnings:
+        stream = _open(source, config, options)
+        _check_readout(stream, config)
+        opened, components = _with_imu(_opened(source, stream, config, options))
+    opened = replace(opened, warnings=tuple(warnings))
     with (
         _disconnected_at_end(stream),
         opened_streams(options.poses) as poses,
@@ -91,7 +94,8 @@ def run(
             _log.info("%s: %s; all frames are tracked again", found.use.sensor, found)
             options = replace(options, optimizer_process=None)
             unused = replace(found.use, states=None, first_frame=None, metric_worlds=())
-            opened = replace(_opened(source, stream, config, options), unused_imu=unused)
+            again = _opened(source, stream, config, options)
+            opened = replace(again, unused_imu=unused, warnings=opened.warnings)
             return _run(opened, output, components._replace(inertial_sensor=None), poses)
 
 

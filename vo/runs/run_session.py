@@ -24,6 +24,7 @@ from vo.outputs.results.summary import RunFacts, Status, Summary
 from vo.outputs.results.tables import covariance_line, frame_line, pose_lines
 from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
+from vo.recordings.formats.warning_kinds import LoggedWarning
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.inertial_checks import InertialContradiction, contradiction_faults
 from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
@@ -51,6 +52,7 @@ class OpenedRun:
         options: those of the run.
         scale: what measures the scale of a mono path, and places it on the globe.
         unused_imu: the inertial sensor, if it cannot be used.
+        warnings: those of opening.
     """
 
     stream: FrameStream
@@ -60,6 +62,7 @@ class OpenedRun:
     options: RunOptions
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
+    warnings: tuple[LoggedWarning, ...] = ()
 
     def facts(self) -> RunFacts:
         """Facts about the run; a stream without length has no known number of frames."""
@@ -83,6 +86,11 @@ class OpenedRun:
             calibration=None if options.calibration is None else str(options.calibration),
             topics=tuple(options.topics),
             right_offset_ns=options.right_offset_ns,
+            opening_warnings=tuple(
+                each._replace(text=self.with_public_name(each.text))
+                for each in self.warnings
+                if rig.is_stereo or each.kind != "large_baseline"
+            ),
         )
 
     def with_public_name(self, text: str) -> str:

@@ -36,6 +36,7 @@ from vo.recordings.formats.messages import (
     PoseMessage,
     TransformsMessage,
 )
+from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.registry import open_source
 
 
@@ -139,6 +140,67 @@ def test_rectified_images_have_the_rectified_intrinsics(tmp_path: Path) -> None:
     assert not rig.cam0.is_distorted
     assert rig.cam1_from_cam0 is not None
     np.testing.assert_allclose(rig.cam1_from_cam0[:3, 3], [-0.12, 0, 0], atol=1e-12)
+
+
+EMPTY = Camera(layouts.WIDTH, layouts.HEIGHT, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_the_calibration_of_most_messages_is_used(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The first one may be empty, garbage, or of another size."""
+    other = replace(LENS, width=2 * LENS.width, height=2 * LENS.height, cx=2 * LENS.cx)
+    first = [EMPTY, replace(LENS, fy=1.0), other]
+    parts = [calibration("/camera/camera_info", "c", each) for each in (*first, LENS, LENS)]
+    assert open_source(log(tmp_path, images("/camera/image", "c"), parts)).rig.cam0 == LENS
+    assert "1 of 3 calibrations of the log differ" in caplog.text
+
+
+def test_a_focal_length_that_changes_is_a_doubt(tmp_path: Path) -> None:
+    zoomed = replace(LENS, fx=1.2 * LENS.fx)
+    parts = [calibration("/camera/camera_info", "c", each) for each in (LENS, LENS, zoomed)]
+    with collected_warnings() as warnings:
+        open_source(log(tmp_path, images("/camera/image", "c"), parts))
+    assert [each.is_doubt for each in warnings] == [True]
+    assert "in the focal length by up to +20.0%: zoom?" in warnings[0].text
+
+
+@pytest.mark.parametrize("last", ["image_rect", "image_raw"])
+def test_p_without_k_is_that_of_rectified_images(tmp_path: Path, last: str) -> None:
+    parts = []
+    for side, shift in (("left", 0.0), ("right", -0.12)):
+        topic, good = calibration(f"/{side}/camera_info", side, shift=shift)
+        parts += [(topic, replace(good, camera=EMPTY)), *images(f"/{side}/{last}", side)]
+    path = log(tmp_path, parts)
+    if last == "image_raw":
+        with pytest.raises(CalibrationError, match="K is zero: .*topic of rectified images"):
+            open_source(path)
+        return
+    rig = open_source(path).rig
+    assert rig.cam0.fx == LENS.fx and not rig.cam0.is_distorted
+    assert rig.cam1_from_cam0 is not None
+    np.testing.assert_allclose(rig.cam1_from_cam0[:3, 3], [-0.12, 0, 0], atol=1e-12)
+
+
+def test_error_for_the_same_projection_of_both_cameras(tmp_path: Path) -> None:
+    sides = [
+        part
+        for side in ("left", "right")
+        for part in (*images(f"/{side}/image_raw", side),
+                     calibration(f"/{side}/camera_info", side, shift=-0.12))
+    ]  # fmt: skip
+    with pytest.raises(CalibrationError, match=r"P of both .* the baseline would be 0\.12 m"):
+        open_source(log(tmp_path, sides), mode="stereo")
+
+
+def test_a_matrix_of_garbage_is_refused(tmp_path: Path) -> None:
+    path = log(
+        tmp_path,
+        images("/camera/image", "c"),
+        calibration("/camera/camera_info", "c", replace(LENS, fx=772.9, fy=1.0)),
+    )
+    with pytest.raises(CalibrationError, match=r"focal length is 772\.9, 1; it must be above 0"):
+        open_source(path)
 
 
 @pytest.mark.parametrize("chained", [True, False])

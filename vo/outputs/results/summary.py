@@ -27,6 +27,7 @@ from vo.outputs.results.run_statistics import (
 )
 from vo.outputs.results.verdict import Verdict, VerdictFacts, assess
 from vo.outputs.results.warnings import run_warnings
+from vo.recordings.formats.warning_kinds import LoggedWarning
 
 Status = Literal["finished", "interrupted", "failed"]
 
@@ -54,6 +55,7 @@ class RunFacts:
     calibration: str | None = None
     topics: tuple[str, ...] = ()
     right_offset_ns: int | None = None
+    opening_warnings: tuple[LoggedWarning, ...] = ()
 
 
 class Segment(NamedTuple):
@@ -147,7 +149,8 @@ class Summary:
                 len(self.segments),
                 self.median_inliers,
                 any(loop.joins for loop in self.loops)
-                or not all(record.is_handled for record in self.faults),
+                or not all(record.is_handled for record in self.faults)
+                or any(each.is_doubt for each in self.facts.opening_warnings),
                 self.disparity_offset_px,
                 bool(self.warnings),
             )
@@ -158,11 +161,20 @@ class Summary:
         """Conditions that make the result less accurate or incomplete."""
         return tuple(run_warnings(self))
 
+    @property
+    def closing_warnings(self) -> tuple[str, ...]:
+        """Those to show at the end: warnings of opening only if they make the path doubtful."""
+        opening = self.facts.opening_warnings
+        shown = {each.text for each in opening if not each.is_doubt}
+        return tuple(text for text in self.warnings if text not in shown)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         facts, stages = fields.pop("facts"), fields.pop("stages")
         del fields["map_use"], fields["scale"]
+        known = asdict(facts)
+        del known["opening_warnings"]  # among all warnings
         del fields["main_failure"]  # without_pose has the reasons
         profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
         live: LiveSummary | None = fields.pop("live")
@@ -170,7 +182,7 @@ class Summary:
         return {
             "schema_version": SCHEMA_VERSION,
             **fields,
-            **asdict(facts),
+            **known,
             "right_camera": None if right is None else _rounded(right),
             "lens_error": None if lens is None else _rounded(lens, 5),
             "topics": list(facts.topics),

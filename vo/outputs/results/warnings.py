@@ -35,6 +35,7 @@ def run_warnings(summary: Summary) -> list[str]:
         if each.kind is not FaultKind.INERTIAL_CONTRADICTION or not each.is_handled
     ]
     return [
+        *(each.text for each in summary.facts.opening_warnings if each.kind != "fault"),
         *fault_warnings(faults),
         *_tracking_warnings(summary),
         *live_warnings(summary.live, summary.frames),

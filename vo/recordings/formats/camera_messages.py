@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.types import Camera
-from vo.recordings.formats.calibration.checks import make_camera
+from vo.recordings.formats.calibration.checks import check_camera_matrix, make_camera
 from vo.recordings.formats.messages import CalibrationMessage
 
+UNCALIBRATED = "K is zero: the camera was never calibrated; give a file with `calibration=FILE`"
 _COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (4, 5, 8)}
 
 
@@ -41,11 +42,15 @@ class RawCalibration:
 
 def calibration_message(raw: RawCalibration) -> CalibrationMessage:
     """Check the values of a message and convert them."""
-    if len(raw.k) != 9 or not any(raw.k):
-        raise CalibrationError(
-            f"calibration message of '{raw.frame}' is empty (K is zero): the camera was never "
-            "calibrated; give a file with `calibration=FILE`"
-        )
+    where = f"calibration message of '{raw.frame}'"
+    has_projection = len(raw.p) == 12 and raw.p[0] > 0 and raw.p[5] > 0
+    is_rectified_only = not any(raw.k[:8]) and has_projection
+    if is_rectified_only:
+        k = np.reshape(raw.p, (3, 4))[:, :3].astype(float)
+        raw = replace(raw, k=k.ravel().tolist(), model="plumb_bob", d=[])
+    if len(raw.k) != 9 or not any(raw.k[:8]):
+        raise CalibrationError(f"{where} is empty: {UNCALIBRATED}")
+    check_camera_matrix(where, np.reshape(raw.k, (3, 3)))
     r = np.reshape(raw.r, (3, 3)) if len(raw.r) == 9 and any(raw.r) else np.eye(3)
     p = np.reshape(raw.p, (3, 4)) if len(raw.p) == 12 and any(raw.p) else np.zeros((3, 4))
     if not p.any():
@@ -56,7 +61,12 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
     crop = np.array([[1.0, 0, -raw.roi_offset[0]], [0, 1.0, -raw.roi_offset[1]], [0, 0, 1.0]])
     camera = _camera(raw, scale @ crop @ np.reshape(raw.k, (3, 3)), (bin_u, bin_v))
     return CalibrationMessage(
-        raw.stamp_ns, raw.frame.lstrip("/"), camera, r.astype(float), scale @ crop @ p
+        raw.stamp_ns,
+        raw.frame.lstrip("/"),
+        camera,
+        r.astype(float),
+        scale @ crop @ p,
+        is_rectified_only,
     )
 
 

@@ -84,6 +84,7 @@ class CalibrationMessage:
         camera: the camera before rectification.
         rectified_from_cam: (3, 3) rotation into the rectified camera.
         projection: (3, 4) of the rectified camera; the last column contains the baseline.
+        is_rectified_only: whether only the rectified camera is known: the matrix K was empty.
     """
 
     stamp_ns: int
@@ -91,6 +92,7 @@ class CalibrationMessage:
     camera: Camera
     rectified_from_cam: Floats
     projection: Floats
+    is_rectified_only: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault, FaultKind
+from vo.recordings.formats.warning_kinds import warning_kind
 
 _log = logging.getLogger(__name__)
 
@@ -244,6 +245,7 @@ def _report_unit(
         spacing.what,
         interval_s,
         _WORDS[found],
+        extra=warning_kind("fault"),
     )
     if faults is not None:
         faults.append(Fault(FaultKind.OTHER_STAMP_UNIT, is_handled=True, value=interval_s))

@@ -25,6 +25,7 @@ from vo.recordings.formats.calibration import (
 )
 from vo.recordings.formats.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
 from vo.recordings.formats.trajectory import read_tum
+from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
 from vo.recordings.sources.images import Pixels, StoredImage
@@ -189,6 +190,7 @@ def _rate_faults(contents: RecordingContents) -> list[Fault]:
         contents.name,
         1e-9 * interval_ns,
         rate_hz,
+        extra=warning_kind("fault"),
     )
     return [Fault(FaultKind.IMPLAUSIBLE_RATE, is_handled=True, value=rate_hz)]
 
@@ -250,6 +252,7 @@ def _right_offset(contents: RecordingContents, rig: Rig) -> int:
             "that; `right_offset_ns` sets it",
             contents.name,
             -1e-6 * offset_ns,
+            extra=warning_kind("fault"),
         )
     return offset_ns
 

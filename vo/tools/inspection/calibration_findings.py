@@ -41,14 +41,21 @@ def calibration_findings(
     yield from stereo_findings(report, rig)
 
 
-def _baseline(length_m: float) -> Iterator[Finding]:
+def _baseline(length_m: float, depth_m: float | None) -> Iterator[Finding]:
     low, high = _USUAL_BASELINE_M
     if length_m > high:
-        unit = 1000 if length_m / 1000 > low else 100
+        units = [(100, "centimetres"), (1000, "millimetres")]
+        fitting = [
+            f"if it is {length_m / factor:g} m, given in {name}, divide by {factor}"
+            + (f" (the median depth is {depth_m / factor:.2g} m then)" if depth_m else "")
+            for factor, name in units
+            if low <= length_m / factor <= high
+        ]
         yield Finding(
             "error",
-            f"the baseline is {length_m:g} m, which is implausible",
-            f"lengths must be in metres; if it is {length_m / unit:g} m, divide by {unit}",
+            f"the baseline is {length_m:g} m, which is implausible"
+            + (f": points are {depth_m:.3g} m away by it" if depth_m else ""),
+            "; ".join(["lengths must be in metres", *fitting]),
         )
     elif length_m < low:
         yield Finding(
@@ -62,7 +69,8 @@ def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
     """Findings about the stereo pair."""
     if rig.cam1_from_cam0 is None:
         return
-    yield from _baseline(float(np.linalg.norm(rig.cam1_from_cam0[:3, 3])))
+    depth_m = None if report.stereo is None else report.stereo.depth_m
+    yield from _baseline(float(np.linalg.norm(rig.cam1_from_cam0[:3, 3])), depth_m)
     try:
         rectified_rig(rig)
     except CalibrationError as error:

@@ -9,8 +9,8 @@ import numpy as np
 
 from vo.base.errors import VoError
 from vo.base.types import Floats, Ints
+from vo.recordings.formats.warning_kinds import LoggedWarning, collected_warnings
 from vo.recordings.sources.imu import Imu, ImuSamples
-from vo.tools.inspection.opening import LoggedWarning, collected_warnings
 from vo.tools.inspection.records import Finding, ImuReport
 
 _GAP = 2.5

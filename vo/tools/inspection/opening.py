@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError, VoError
 from vo.base.types import Camera, Ints, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize
-from vo.recordings.formats.warning_kinds import WarningKind, kind_of
+from vo.recordings.formats.warning_kinds import LoggedWarning, collected_warnings
 from vo.recordings.sources.assembly import RecordingContents, assemble
 from vo.recordings.sources.images import StoredImage
 from vo.recordings.sources.imu import Imu
@@ -37,13 +34,6 @@ class ImageSequence:
     name: str  # `cam0`, `cam1` or a topic
     shots: Sequence[Shot]
     repeated_stamps: int = 0  # number of images left out because of a repeated stamp
-
-
-class LoggedWarning(NamedTuple):
-    """The message of a warning on one line, and its kind, if any."""
-
-    text: str
-    kind: WarningKind | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,29 +254,3 @@ def right_stamps(left: Sequence[Shot], right: Sequence[Shot]) -> Ints:
     stamp_of: dict[int, int] = {id(shot.image): shot.stamp_ns for shot in right}
     partners: list[StoredImage | None] = pair_by_stamp(left, right)
     return np.array([-1 if p is None else stamp_of[id(p)] for p in partners], dtype=np.int64)
-
-
-@contextmanager
-def collected_warnings() -> Iterator[list[LoggedWarning]]:
-    """Collect warnings of `vo` in a list instead of showing them."""
-    warnings: list[LoggedWarning] = []
-    handler = _Collector(warnings)
-    logger = logging.getLogger("vo")
-    propagate = logger.propagate
-    logger.addHandler(handler)
-    logger.propagate = False
-    try:
-        yield warnings
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = propagate
-
-
-class _Collector(logging.Handler):
-    def __init__(self, warnings: list[LoggedWarning]) -> None:
-        super().__init__(logging.WARNING)
-        self._warnings = warnings
-
-    def emit(self, record: logging.LogRecord) -> None:
-        text = " ".join(record.getMessage().split())
-        self._warnings.append(LoggedWarning(text, kind_of(record)))

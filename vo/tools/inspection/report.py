@@ -11,6 +11,7 @@ from vo.base.geometry.cameras import normalise
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.geometry.transforms import inverse, rotation_angle
 from vo.base.types import Camera, Floats, Ints, Rig, Trajectory
+from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.logs.log import Topic
 from vo.recordings.sources.pairing import pair_by_stamp
 from vo.tools.inspection.findings import with_findings
@@ -18,7 +19,7 @@ from vo.tools.inspection.image_records import CameraReport, StereoReport
 from vo.tools.inspection.images import ImageReader, check_images, evenly_spaced
 from vo.tools.inspection.inertial import check_imus
 from vo.tools.inspection.inertial_motion import compare_motion
-from vo.tools.inspection.opening import ImageSequence, OpenedRecording, collected_warnings
+from vo.tools.inspection.opening import ImageSequence, OpenedRecording
 from vo.tools.inspection.records import (
     CalibrationReport,
     ImuReport,

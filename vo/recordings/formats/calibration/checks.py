@@ -98,7 +98,7 @@ def matrix_camera(
 ) -> Camera:
     """A camera from its 3x3 matrix K; the default distortion model is radtan."""
     k = make_matrix(f"{where}: camera matrix", matrix, 3, 3)
-    _check_camera_matrix(where, k)
+    check_camera_matrix(where, k)
     coefficients = make_list(f"{where}: distortion", distortion)
     if not any(coefficients) and distortion_model in _ZERO_IS_NONE:
         distortion_model, coefficients = "none", ()
@@ -147,7 +147,7 @@ def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
     if baseline > _MAX_BASELINE_M:
         _log.warning(
             "%s: the baseline is %g m; if the unit is millimetres, all lengths will be 1000 times "
-            "too large",
+            "too large, if it is centimetres, 100 times",
             where,
             baseline,
             extra=warning_kind("large_baseline"),
@@ -233,11 +233,11 @@ def make_time_offset(where: str, value: Any) -> float:
     return offset_s
 
 
-def _check_camera_matrix(where: str, k: Floats) -> None:
+def check_camera_matrix(where: str, k: Floats) -> None:
     """Refuse a (3, 3) matrix that is not fx 0 cx / 0 fy cy / 0 0 1; warn of a skew of the axes."""
     if not k.any():
         raise CalibrationError(f"{where}: the camera matrix is zero: it was never calibrated")
-    if np.any(k[2, :2]) and not np.any(k[:2, 2]):
+    if k[2, :2].min() > 1.0 and k[2, 2] == 1.0 and not np.any(k[:2, 2]):
         raise CalibrationError(f"{where}: the camera matrix is transposed; write it row by row")
     if np.abs(k[2] - (0.0, 0.0, 1.0)).max() > _MAX_ROUNDING or abs(k[1, 0]) > _MAX_ROUNDING:
         raise CalibrationError(
@@ -280,6 +280,7 @@ def _check_pinhole(where: str, camera: Camera) -> None:
             camera.cy,
             camera.width,
             camera.height,
+            extra=warning_kind("calibration"),
         )
     ratio = centre_scale(camera) * camera.fx / camera.width
     if not _PLAUSIBLE_FOCAL_RATIO[0] <= ratio <= _PLAUSIBLE_FOCAL_RATIO[1]:
@@ -291,6 +292,7 @@ def _check_pinhole(where: str, camera: Camera) -> None:
             camera.fx,
             camera.width,
             field_of_view_deg,
+            extra=warning_kind("calibration"),
         )
     _check_reach(where, camera)
 
@@ -322,7 +324,7 @@ def _check_reach(where: str, camera: Camera) -> None:
     )
     if ratio > _MAX_FOLDED:
         raise CalibrationError(text)
-    _log.warning("%s", text)
+    _log.warning("%s", text, extra=warning_kind("calibration"))
 
 
 def _outside(centre: float, size: int) -> float:

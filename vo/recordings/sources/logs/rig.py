@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from vo.base.errors import CalibrationError, SourceError, VoError
+from vo.base.errors import CalibrationError, VoError
 from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Floats
-from vo.recordings.formats.calibration.checks import check_baseline
+from vo.recordings.formats.calibration.checks import check_baseline, matrix_camera
+from vo.recordings.formats.calibration.document import ImageSize
+from vo.recordings.formats.camera_messages import UNCALIBRATED
 from vo.recordings.formats.messages import CalibrationMessage
+from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.logs.choice import base_name
 from vo.recordings.sources.logs.frame_tree import FrameTree
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 
 _MAX_MESSAGES = 100
+_MIN_ZOOM = 0.01  # smaller changes of the focal length are estimates
+_log = logging.getLogger(__name__)
 _MIN_COSINE = 0.5  # of the angle between optical axes
 
 
@@ -26,7 +33,7 @@ class LogCamera:
 
     Attributes:
         frame: its coordinate frame, that of its first image.
-        calibration: its first calibration message.
+        calibration: the calibration of most of its messages.
         is_rectified: whether its images are rectified, and thus without distortion.
     """
 
@@ -41,14 +48,9 @@ class LogCamera:
         camera, p = self.calibration.camera, self.calibration.projection
         if not self.is_rectified:
             return camera
-        return replace(
-            camera,
-            fx=float(p[0, 0]),
-            fy=float(p[1, 1]),
-            cx=float(p[0, 2]),
-            cy=float(p[1, 2]),
-            distortion_model="none",
-            distortion=(),
+        where, size = f"P of the calibration of {self.topic}", (camera.width, camera.height)
+        return matrix_camera(
+            where, resolution=size, matrix=p[:, :3].tolist(), distortion_model="none", distortion=()
         )
 
 
@@ -66,13 +68,15 @@ def find_camera(
     reason = ""
     for topic in [*by_name, *(t for t in calibrations if t not in by_name)]:
         try:
-            found = _first_message(log, topic, entries[topic.name])
+            messages = _messages(log, topic, entries[topic.name], is_rectified="rect" in last)
         except VoError as error:
             if topic in by_name:
                 raise CalibrationError(f"{topic.name}: {error}") from error
             reason = reason or f"; {topic.name}: {error}"
             continue
+        found = _usual(messages)
         if topic in by_name or (frame and found.frame == frame):
+            _warn_of_changes(topic, found, messages)
             return LogCamera(image.name, frame or found.frame, found, "rect" in last)
     others = ", ".join(topic.name for topic in calibrations) or "none"
     raise CalibrationError(
@@ -95,7 +99,7 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
     if found is None:
         raise CalibrationError(
             f"unknown pose of {right.topic} relative to {left.topic}: no transforms connect frame "
-            f"'{left.frame}' to '{right.frame}', and the last column of the right camera's P is 0; "
+            f"'{left.frame}' to '{right.frame}', and {_no_shift(left, right)}; "
             "give a file with `calibration=FILE`, or use `mode=mono`"
         )
     cosine = max(float(found[2, 2]), -1.0)
@@ -123,6 +127,17 @@ def _from_projections(left: LogCamera, right: LogCamera) -> Floats | None:
     return np.asarray(inverse(turn_right) @ rectified @ turn_left)
 
 
+def _no_shift(left: LogCamera, right: LogCamera) -> str:
+    """Why the projections say nothing about the baseline."""
+    length_m = float(np.linalg.norm(_offset(right)))
+    if length_m == 0.0:
+        return "the last column of the right camera's P is 0"
+    return (
+        f"P of both have the same last column ({left.calibration.projection[0, 3]:g}), where that "
+        f"of the left one must be 0 (then the baseline would be {length_m:g} m)"
+    )
+
+
 def _offset(camera: LogCamera) -> Floats:
     p = camera.calibration.projection
     if abs(np.linalg.det(p[:, :3])) < 1e-9:
@@ -130,15 +145,62 @@ def _offset(camera: LogCamera) -> Floats:
     return np.asarray(np.linalg.solve(p[:, :3], p[:, 3]))
 
 
-def _first_message(log: Log, topic: Topic, entries: Sequence[Entry]) -> CalibrationMessage:
-    """The first readable message."""
-    reason = ""
-    for entry in entries[:_MAX_MESSAGES]:
+def _messages(
+    log: Log, topic: Topic, entries: Sequence[Entry], *, is_rectified: bool
+) -> list[CalibrationMessage]:
+    """The readable messages of a camera, about 100 of all."""
+    found, reason = [], ""
+    for entry in entries[:: 1 + len(entries) // _MAX_MESSAGES]:
         try:
             message = topic.codec.decode(log.read(entry))
-        except SourceError as error:
+        except VoError as error:
             reason = reason or f": {error}"
             continue
-        if isinstance(message, CalibrationMessage):
-            return message
-    raise SourceError(f"no message can be read{reason}")
+        if not isinstance(message, CalibrationMessage):
+            continue
+        if message.is_rectified_only and not is_rectified:
+            reason = reason or f": {UNCALIBRATED}, or choose the topic of rectified images, as P is"
+            continue
+        found.append(message)
+    if not found:
+        raise CalibrationError(f"no message can be used{reason}")
+    return found
+
+
+def _usual(messages: Sequence[CalibrationMessage]) -> CalibrationMessage:
+    """The first one with the values of most, of those with the size of most."""
+    size = Counter(map(_size, messages)).most_common(1)[0][0]
+    fitting = [message for message in messages if _size(message) == size]
+    values = Counter(map(_values, fitting)).most_common(1)[0][0]
+    return next(message for message in fitting if _values(message) == values)
+
+
+def _size(message: CalibrationMessage) -> ImageSize:
+    return message.camera.width, message.camera.height
+
+
+def _values(message: CalibrationMessage) -> tuple[object, ...]:
+    return message.camera, message.projection.tobytes()
+
+
+def _warn_of_changes(
+    topic: Topic, usual: CalibrationMessage, messages: Sequence[CalibrationMessage]
+) -> None:
+    """Warn of calibrations that change; with the focal length, the path is doubted."""
+    changed = [message for message in messages if _values(message) != _values(usual)]
+    if not changed:
+        return
+    camera = usual.camera
+    same = [m.camera.fx for m in changed if _size(m) == _size(usual)]
+    largest = max((fx / camera.fx - 1.0 for fx in same), key=abs, default=0.0)
+    _log.warning(
+        "%s: %d of %d calibrations of the log differ from that which is used (%dx%d, fx %g)%s",
+        topic.name,
+        len(changed),
+        len(messages),
+        camera.width,
+        camera.height,
+        camera.fx,
+        f", in the focal length by up to {largest:+.1%}: zoom?" if largest else "",
+        extra=warning_kind("calibration") if abs(largest) > _MIN_ZOOM else None,
+    )

@@ -11,6 +11,7 @@ from vo.base.errors import VoError
 from vo.base.faults import Fault, FaultKind
 from vo.base.types import Ints
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS
+from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.listing import median_interval_ns
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 
@@ -64,6 +65,7 @@ def message_stamps(
             "used, and later stamps are moved forward",
             topic.name,
             1e-9 * set_back_ns,
+            extra=warning_kind("fault"),
         )
         if faults is not None:
             size_s = 1e-9 * set_back_ns
