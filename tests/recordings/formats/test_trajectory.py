@@ -219,3 +219,40 @@ def test_times_in_whole_milliseconds_are_read_as_such(
     trajectory = read_trajectory(tmp_path / "poses.txt")
     assert trajectory.stamps_ns.tolist() == [0, 104_000_000, 207_000_000, 311_000_000]
     assert "the stamps are read as milliseconds" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("heading", "order", "mark"),
+    [
+        ("timestamp,tx,ty,tz,qx,qy,qz,qw", "t123xyzw", ","),
+        ("#timestamp [ns], qw, qx, qy, qz, px, py, pz", "twxyz123", ","),
+        ("# time x y z qw qx qy qz", "t123wxyz", " "),
+        (
+            "%time,field.pose.pose.position.x,field.pose.pose.position.y,field.pose.pose.position.z,"
+            "field.pose.pose.orientation.x,field.pose.pose.orientation.y,"
+            "field.pose.pose.orientation.z,field.pose.pose.orientation.w",
+            "t123xyzw",
+            ",",
+        ),
+        ("# timestamp tx ty tz qx qy qz qw", "t123xyzw", " "),
+    ],
+)
+def test_columns_by_the_names_in_the_heading(
+    tmp_path: Path, heading: str, order: str, mark: str
+) -> None:
+    rows = []
+    for i in range(3):
+        field = {
+            "t": 1_600_000_000_000_000_000 + i * 50_000_000,
+            **dict(zip("xyz", (0.6, 0, 0), strict=True)),
+        }
+        field |= {"w": 0.8, "1": 1 + i, "2": 2, "3": 3}
+        rows.append(mark.join(str(field[each]) for each in order))
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([heading, *rows]) + "\n")
+    found = read_trajectory(path)
+    assert found.stamps_ns.tolist() == [
+        1_600_000_000_000_000_000 + i * 50_000_000 for i in range(3)
+    ]
+    np.testing.assert_allclose(found.positions, [[1 + i, 2, 3] for i in range(3)])
+    np.testing.assert_allclose(found.world_from_cam[0, 1:3, 2], [-0.96, 0.28], atol=1e-12)

@@ -266,3 +266,48 @@ def test_excerpts_of_many_samples(tmp_path: Path) -> None:
     some = imu.read_some(20)
     assert len(some) == 20 and some.stamps_ns[[0, -1]].tolist() == STAMPS_NS[[0, -1]].tolist()
     check_exact(imu.read_some(SAMPLES))
+
+
+IN_UNITS = {"rad/s": 1.0, "deg/s": 180 / np.pi, "m/s^2": 1.0, "g": 1 / 9.80665}
+HEADINGS = {
+    "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]": "ns gx gy gz ax ay az",
+    "timestamp,ax,ay,az,gx,gy,gz": "ns ax ay az gx gy gz",
+    "#time [s], acc_z [g], acc_y [g], acc_x [g], gyro_z [deg/s], gyro_y [deg/s], gyro_x [deg/s]": (
+        "s az:g ay:g ax:g gz:deg/s gy:deg/s gx:deg/s"
+    ),
+    "AccelX (m/s^2);AccelY (m/s^2);AccelZ (m/s^2);"
+    "GyroX (dps);GyroY (dps);GyroZ (dps);Temp;t (us)": ("ax ay az gx:deg/s gy:deg/s gz:deg/s 1 us"),
+    "%time,field.orientation.x,field.angular_velocity.x,field.angular_velocity.y,"
+    "field.angular_velocity.z,field.angular_velocity_covariance0,field.linear_acceleration.x,"
+    "field.linear_acceleration.y,field.linear_acceleration.z": "ns 0 gx gy gz 7 ax ay az",
+    "timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z": "s ax ay az gx gy gz",
+    "# timestamp(ns) omega_x omega_y omega_z alpha_x_unknown a b c": "ns gx gy gz ax ay az",
+}
+
+
+@pytest.mark.parametrize("heading", HEADINGS)
+def test_columns_by_the_names_in_the_heading(
+    tmp_path: Path, heading: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    layouts.write_euroc(tmp_path)
+    mark = next((each for each in ",;" if each in heading), " ")
+
+    def field(word: str, row: int) -> str:
+        name, _, unit = word.partition(":")
+        if name in ("ns", "us", "s"):
+            stamp = int(STAMPS_NS[row])
+            return {"ns": f"{stamp}", "us": f"{stamp // 1000}"}.get(name, layouts.seconds(stamp))
+        if len(name) == 1:
+            return name
+        values = {"g": GYRO, "a": ACCEL}[name[0]][row]
+        return repr(float(values["xyz".index(name[1])] * IN_UNITS.get(unit, 1.0)))
+
+    words = HEADINGS[heading].split()
+    rows = [mark.join(field(word, row) for word in words) for row in range(SAMPLES)]
+    layouts.write_text(tmp_path / "mav0/imu0/data.csv", "\n".join([heading, *rows]) + "\n")
+    samples = the_imu(tmp_path).read()
+    np.testing.assert_allclose(samples.stamps_ns, STAMPS_NS, atol=1000)
+    np.testing.assert_allclose(samples.gyro, GYRO, rtol=1e-9)
+    np.testing.assert_allclose(samples.accel, ACCEL, rtol=1e-9)
+    assert ("does not name" in caplog.text) == ("unknown" in heading)

@@ -14,7 +14,7 @@ import pytest
 
 from vo.base.errors import SourceError
 from vo.recordings.formats.stamp_units import parse_all_ns
-from vo.recordings.sources.listing import read_data, read_lines
+from vo.recordings.sources.listing import read_lines
 from vo.recordings.sources.registry import detect_format, open_source
 
 STAMPS_S = [1_466_513_600 + 0.05 * i for i in range(layouts.COUNT)]
@@ -192,6 +192,7 @@ def test_missing_images_are_counted_in_one_line(
     [
         ("#stamp,x\n1,2\n\n  3,4  \n# end\n", ["1,2", "3,4"]),
         ("Timestamp,x\n1,2\n", ["1,2"]),
+        ("file name;time\na.png;2\n", ["a.png;2"]),
         ("1,2", ["1,2"]),
     ],
 )
@@ -200,7 +201,7 @@ def test_data_are_lines_without_headings_comments_and_blanks(
 ) -> None:
     table = tmp_path / "data.csv"
     table.write_text(text)
-    assert read_data(table) == [line.text for line in read_lines(table)] == expected
+    assert [line.text for line in read_lines(table)] == expected
 
 
 def test_lines_name_their_places(tmp_path: Path) -> None:
@@ -210,12 +211,11 @@ def test_lines_name_their_places(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n\n", "timestamp,x\n"])
-@pytest.mark.parametrize("read", [read_data, read_lines])
-def test_tables_without_data_are_refused(read, text: str, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_tables_without_data_are_refused(text: str, tmp_path: Path) -> None:
     table = tmp_path / "data.csv"
     table.write_text(text)
     with pytest.raises(SourceError, match="has no data"):
-        read(table)
+        read_lines(table)
 
 
 def test_many_stamps_are_parsed_at_once() -> None:
@@ -223,3 +223,14 @@ def test_many_stamps_are_parsed_at_once() -> None:
     for wrong in ("", "-1", "+1", "1.5", "1e9", " 1", "²", "1_000"):
         with pytest.raises(ValueError, match=r"whole number|invalid literal"):
             parse_all_ns(["7", wrong])
+
+
+@pytest.mark.parametrize(("layout", "table"), [("euroc", "mav0/cam0/data.csv"), ("tum", "rgb.txt")])
+def test_names_before_stamps(tmp_path: Path, layout: str, table: str) -> None:
+    layouts.WRITERS[layout](tmp_path)
+    mark = "," if layout == "euroc" else " "
+    lines = (tmp_path / table).read_text().splitlines()
+    rows = [line.split(mark)[:2] for line in lines if line[0] != "#"]
+    text = mark.join(["filename", "timestamp"]) + "\n"
+    (tmp_path / table).write_text(text + "".join(f"{b}{mark}{a}\n" for a, b in rows))
+    assert open_source(tmp_path, mode="mono").stamps_ns.tolist() == layouts.STAMPS_NS

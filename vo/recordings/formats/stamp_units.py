@@ -82,7 +82,7 @@ def parse_stamps(
     values = [number or Decimal(0) for number in numbers]
     are_whole = all(value == value.to_integral_value() for value in values)
     are_long = are_whole and all(value >= _MIN_LONG for value in values)
-    usual: StampUnit = "ns" if are_long else unit
+    usual: StampUnit = "ns" if are_long and spacing is not STATED else unit
     has_points = any("." in stamp.text for stamp in stamps)
     found = _unit_that_fits(values, usual, are_whole and not has_points, spacing)
     if found not in (unit, usual) and spacing is not NAMES:

@@ -11,6 +11,13 @@ import numpy as np
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import read_table_text
 from vo.base.types import Floats
+from vo.recordings.formats.headings import (
+    POSITION,
+    QUATERNION,
+    axis_columns,
+    heading_of,
+    stamp_column,
+)
 
 _log = logging.getLogger(__name__)
 _MAX_VALUE = 1e12
@@ -47,7 +54,7 @@ def read_table(path: Path) -> list[Line]:
         "is not text; trajectories are TUM, KITTI or EuRoC text",
     )
     lines = _data_lines(path, text)
-    if lines and not _is_number(lines[0].fields[0]) and "timestamp" in lines[0].fields[0].lower():
+    if lines and not _is_number(lines[0].fields[0]) and stamp_column(lines[0].fields) is not None:
         lines = lines[1:]
     if len(lines) > 1 and text[-1] != "\n" and len(lines[-1].fields) < len(lines[-2].fields):
         _log.warning("%s: the last line is cut off and left out", lines[-1].location)
@@ -55,6 +62,25 @@ def read_table(path: Path) -> list[Line]:
     if not lines:
         raise SourceError(f"{path} has no line of data; give a trajectory with at least one pose")
     return lines
+
+
+def read_poses_table(path: Path) -> list[Line]:
+    """As `read_table`; where a heading names the columns of poses, in the order of the format.
+
+    With commas it is that of EuRoC, with qw before qx; without, that of TUM.
+    """
+    lines = read_table(path)
+    names = heading_of(read_table_text(path).splitlines())
+    stamp, position = stamp_column(names), axis_columns(names, POSITION)
+    quaternion = axis_columns(names, QUATERNION, "wxyz" if lines[0].has_commas else "xyzw")
+    if stamp is None or position is None or quaternion is None:
+        return lines
+    order = [column.number for column in (stamp, *position, *quaternion)]
+    if order == list(range(len(order))):
+        return lines
+    _log.warning("%s: columns are taken by the names in its heading, not by their order", path)
+    check_columns(lines, max(order) + 1, exactly=False)
+    return [line._replace(fields=[line.fields[number] for number in order]) for line in lines]
 
 
 def _data_lines(path: Path, text: str) -> list[Line]:

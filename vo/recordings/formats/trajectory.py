@@ -15,7 +15,13 @@ from vo.base.printable import counted
 from vo.base.types import Floats, Ints, Trajectory
 from vo.recordings.formats.calibration.nerf import read_nerf_poses
 from vo.recordings.formats.stamp_units import POSES, StampText, StampUnit, parse_stamps
-from vo.recordings.formats.table import Line, check_columns, parse_columns, read_table
+from vo.recordings.formats.table import (
+    Line,
+    check_columns,
+    parse_columns,
+    read_poses_table,
+    read_table,
+)
 
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "tartanair", "nerf"]
 
@@ -62,7 +68,7 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
     """Detect the format from the first line of data."""
     if Path(path).suffix.lower() == ".json":
         return "nerf"
-    first = read_table(Path(path))[0]
+    first = read_poses_table(Path(path))[0]
     columns = len(first.fields)
     if first.has_commas and columns >= _EUROC_COLUMNS:
         return "euroc"
@@ -81,7 +87,7 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
 
 def read_tum(path: Path | str) -> Trajectory:
     """Read `stamp tx ty tz qx qy qz qw` lines, stamps in decimal seconds."""
-    lines = read_table(Path(path))
+    lines = read_poses_table(Path(path))
     check_columns(lines, _TUM_COLUMNS, exactly=True)
     stamps = _stamps(lines, "s")
     values = parse_columns(lines, 1, _TUM_COLUMNS)
@@ -93,7 +99,7 @@ def read_euroc(path: Path | str) -> Trajectory:
 
     The poses are those of the body, world_from_body; the body is the IMU.
     """
-    lines = read_table(Path(path))
+    lines = read_poses_table(Path(path))
     check_columns(lines, _EUROC_COLUMNS, exactly=False)
     stamps = _stamps(lines, "ns")
     values = parse_columns(lines, 1, _EUROC_COLUMNS)

@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from vo.base.errors import CalibrationError, SourceError, VoError
 from vo.base.faults import Fault
 from vo.base.geometry.transforms import inverse
@@ -23,22 +21,19 @@ from vo.recordings.formats.euroc_layout import (
     find_camera_on_body,
     recording_folder,
 )
-from vo.recordings.formats.stamp_units import MAX_STAMP_NS, parse_all_ns, parse_ns
 from vo.recordings.formats.trajectory import read_euroc, read_tum
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
-from vo.recordings.sources.imu import FileImu, ImuSamples, imu_of, make_samples
+from vo.recordings.sources.imu import FileImu, imu_of
+from vo.recordings.sources.imu_table import read_imu_table
 from vo.recordings.sources.listing import (
     Shot,
     list_images,
-    read_data,
     shots_from_names,
     shots_from_table,
 )
 
 _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 _log = logging.getLogger(__name__)
-
-_IMU_COLUMNS = 6
 
 
 def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
@@ -125,48 +120,11 @@ def _imu(
 
     return FileImu(
         str(table),
-        lambda: _read_imu(table),
+        lambda: read_imu_table(table),
         find_extrinsics,
         lambda: given.noise or _noise(sensor),
         given.time_offset_s,
     )
-
-
-def _read_imu(table: Path) -> ImuSamples:
-    """Read lines of a stamp in ns, angular rates in rad/s and accelerations in m/s²."""
-    lines = read_data(table)
-    read = _all_at_once(lines) or _one_by_one(lines)
-    for count, reason in ((read.unreadable, "cannot be read"), (read.repeated, "repeat a stamp")):
-        if count:
-            _log.warning("%s: %d of %d lines %s and are skipped", table, count, len(lines), reason)
-    return read
-
-
-def _all_at_once(lines: list[str]) -> ImuSamples | None:
-    """Samples of lines that are all well-formed, in a third of the time; None if some are not."""
-    try:
-        stamps = parse_all_ns([text.partition(",")[0].strip() for text in lines])
-        columns = range(1, 1 + _IMU_COLUMNS)
-        values = np.loadtxt(lines, delimiter=",", comments=None, usecols=columns, ndmin=2)
-    except ValueError:
-        return None
-    return make_samples(stamps, values, 0) if max(stamps) <= MAX_STAMP_NS else None
-
-
-def _one_by_one(lines: list[str]) -> ImuSamples:
-    """Samples of the lines that are well-formed."""
-    stamps, values = [], []
-    for text in lines:
-        fields = text.split(",")
-        try:
-            stamp = parse_ns(fields[0].strip())
-            row = [float(field) for field in fields[1 : 1 + _IMU_COLUMNS]]
-        except ValueError:
-            continue
-        if len(row) == _IMU_COLUMNS and stamp <= MAX_STAMP_NS:
-            stamps.append(stamp)
-            values.append(row)
-    return make_samples(stamps, values, len(lines) - len(stamps))
 
 
 def _body_from_imu(sensor: Path) -> Floats | None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
+from vo.recordings.formats.headings import split_fields
 from vo.recordings.formats.stamp_units import (
     NAMES,
     StampText,
@@ -52,23 +53,17 @@ def read_lines(path: Path) -> list[Line]:
     """Read the data lines of a file, without blank lines, comments and a heading of columns."""
     texts = [text.strip() for text in table_text(path, _MISSING).splitlines()]
     numbered = [(n, text) for n, text in enumerate(texts, start=1) if text and text[0] != "#"]
-    name = str(path)
-    return [Line(f"{name}:{n}", text) for n, text in numbered[_first(path, numbered) :]]
-
-
-def read_data(path: Path) -> list[str]:
-    """The same without the places of the lines, in a fifth of the time."""
-    texts = [text for text in map(str.strip, table_text(path, _MISSING).splitlines()) if text]
-    data = [text for text in texts if text[0] != "#"]
-    return data[_first(path, [(0, text) for text in data[:2]]) :]
-
-
-def _first(path: Path, lines: list[tuple[int, str]]) -> int:
-    """Number of headings of columns before the data."""
-    heading = int(bool(lines) and lines[0][1].lower().startswith("timestamp"))
-    if len(lines) == heading:
+    if numbered and _is_heading(numbered[0][1]):
+        numbered = numbered[1:]
+    if not numbered:
         raise SourceError(f"{path} has no data; it must have one line per image")
-    return heading
+    name = str(path)
+    return [Line(f"{name}:{n}", text) for n, text in numbered]
+
+
+def _is_heading(text: str) -> bool:
+    has_columns = len(split_fields(text)) > 1
+    return text.lower().startswith("timestamp") or (has_columns and not re.search(r"\d", text))
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -105,7 +100,10 @@ def shots_from_table(
     """
     texts, files = [], []
     for location, text in read_lines(table):
-        fields = [field.strip() for field in text.split(separator, 1)]
+        parts = text.split(separator) if separator else text.split(None, 1)
+        fields = [part.strip() for part in parts[:2]]
+        if is_image_name(fields[0]):
+            fields.reverse()
         if len(fields) != 2 or not fields[1]:
             raise SourceError(f"{location}: '{text}' is not a stamp and a file name")
         files.append(inside(table.parent, folder / fields[1], location))
