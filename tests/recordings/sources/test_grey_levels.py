@@ -139,3 +139,23 @@ def test_the_range_is_that_of_both_cameras(tmp_path: Path) -> None:
         for image in frame.images:
             assert image is not None
             assert (image == 255).mean() + (image == 0).mean() < 0.02
+
+
+@pytest.mark.parametrize("shift", [0, 4, 8])
+def test_exchanged_bytes_are_noticed(shift: int) -> None:
+    """Also of 12 bits in the upper ones; right ones stay as they are."""
+    smooth = cv2.GaussianBlur(np.random.default_rng(1).random((60, 80)), (0, 0), 3.0)
+    levels = (smooth - smooth.min()) / np.ptp(smooth) * ((1 << 16 - shift) - 1)
+    image = levels.astype(np.uint16) << shift
+    assert not find_grey_levels([Image(image)] * 5).are_swapped
+    if shift == 8:  # a lower byte of zeros is as smooth either way
+        return
+    swapped = Image(image.byteswap())
+    found = find_grey_levels([swapped] * 5)
+    assert found.are_swapped
+    np.testing.assert_array_equal(bits(found, swapped), bits(GreyLevels(16), Image(image)))
+
+
+def test_noise_is_not_taken_for_exchanged_bytes() -> None:
+    noise = np.random.default_rng(2).integers(0, 2**16, (60, 80), np.uint16)
+    assert not find_grey_levels([Image(noise)] * 5).are_swapped

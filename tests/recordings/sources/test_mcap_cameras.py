@@ -142,6 +142,36 @@ def test_rectified_images_have_the_rectified_intrinsics(tmp_path: Path) -> None:
     np.testing.assert_allclose(rig.cam1_from_cam0[:3, 3], [-0.12, 0, 0], atol=1e-12)
 
 
+def _read(tmp_path: Path, encoding: str, pixels: np.ndarray, step: int = 0) -> np.ndarray:
+    size = layouts.WIDTH, layouts.HEIGHT
+    parts = [
+        ("/camera/image", ImageMessage(stamp, "c", *size, encoding, pixels.tobytes(), step))
+        for stamp in layouts.STAMPS_NS[:4]
+    ]
+    path = log(tmp_path, parts, calibration("/camera/camera_info", "c"))
+    return next(iter(open_source(path).frames())).image0
+
+
+@pytest.mark.parametrize("stated", ["yuv422", "yuv422_yuy2"])
+@pytest.mark.parametrize("brightness", [0, 1])
+def test_the_order_of_brightness_and_colour_is_that_of_the_pixels(
+    tmp_path: Path, stated: str, brightness: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    grey = layouts.image(0)
+    pixels = np.full((*grey.shape, 2), 128, np.uint8)
+    pixels[:, ::2, 1 - brightness] = 90  # one of both colours
+    pixels[:, :, brightness] = grey
+    np.testing.assert_array_equal(_read(tmp_path, stated, pixels), grey)
+    assert ("not as stated" in caplog.text) == ((stated == "yuv422") == (brightness == 0))
+
+
+def test_a_step_of_a_pixel_is_ignored(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    grey = layouts.image(0)
+    pixels = np.dstack([grey, grey, grey, grey])
+    np.testing.assert_allclose(_read(tmp_path, "rgba8", pixels, step=4), grey, atol=1)
+    assert "rgba8 are said to have 4 bytes" in caplog.text
+
+
 EMPTY = Camera(layouts.WIDTH, layouts.HEIGHT, 0.0, 0.0, 0.0, 0.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import cv2
@@ -76,6 +76,7 @@ _LAYOUTS: dict[str, _Layout] = {
         1, 2, _converted(cv2.COLOR_YUV2GRAY_YUY2), _converted(cv2.COLOR_YUV2BGR_YUY2)
     ),
 }
+_OTHER_YUV = {"yuv422": "yuv422_yuy2", "yuv422_yuy2": "yuv422"}
 _OTHER_NAMES = {
     "8uc1": "mono8",
     "16uc1": "mono16",
@@ -101,6 +102,20 @@ def colour_pixels(message: ImageMessage) -> Pixels:
     return layout.colour(_rows(message, layout))
 
 
+def has_wrong_step(message: ImageMessage) -> bool:
+    """Whether the step is less than a row, but the data are exactly all rows."""
+    layout = _layout(message)
+    row_bytes = message.width * layout.channels * layout.bytes_per_sample
+    return 0 < message.step < row_bytes and len(message.data) == message.height * row_bytes
+
+
+def as_other_yuv(message: ImageMessage) -> ImageMessage | None:
+    """The message in the other order of brightness and colour; None if it is not YUV."""
+    name = message.pixel_format.strip().lower()
+    other = _OTHER_YUV.get(_OTHER_NAMES.get(name, name))
+    return None if other is None else replace(message, pixel_format=other)
+
+
 def _layout(message: ImageMessage) -> _Layout:
     name = message.pixel_format.strip().lower()
     layout = _LAYOUTS.get(_OTHER_NAMES.get(name, name))
@@ -117,6 +132,8 @@ def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
     width, height = message.width, message.height
     row_bytes = width * layout.channels * layout.bytes_per_sample
     step = message.step or row_bytes
+    if has_wrong_step(message):
+        step = row_bytes
     needed = (height - 1) * step + row_bytes
     if width < 1 or height < 1 or step < row_bytes or len(message.data) < needed:
         raise SourceError(

@@ -165,6 +165,12 @@ def _grey_levels(
     if first.dtype == np.uint8:
         return GreyLevels(8)
     levels = find_grey_levels([shot.image for shot in contents.left], partners)
+    if levels.are_swapped:
+        _log.warning(
+            "%s: the two bytes of the 16-bit values are stored in the wrong order, as neighbouring "
+            "pixels show; they are exchanged",
+            contents.name,
+        )
     stretch = levels.stretch
     if stretch is not None:
         _log.warning(

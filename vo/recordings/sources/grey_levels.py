@@ -19,6 +19,8 @@ _PERCENTILES = (1.0, 99.0)
 _MARGIN = 0.1  # of the range between the percentiles, at either end
 _MIN_COUNTS = 200.0  # of a stretched range; noise of a dark or covered sensor is not amplified
 _SAMPLES = 33
+_ROUGH, _SMOOTHER = 0.5, 0.4
+"""Roughness from which an image may be noise, and ratio that an exchange of bytes makes."""
 _PIXEL_STEP = 4
 _MIN_SPAN = 0.25
 """Of the median range. Images with less, such as those of a closed shutter, do not count."""
@@ -52,15 +54,19 @@ class GreyLevels:
     Attributes:
         bit_depth: number of bits that the camera uses; the upper 8 of these are kept.
         stretch: used instead, if the images use little of that range; else None.
+        are_swapped: whether the two bytes of all values are stored in the wrong order.
     """
 
     bit_depth: int = 16
     stretch: Stretch | None = None
+    are_swapped: bool = False
 
     def to_8_bits(self, image: Pixels, frame: int) -> Bytes:
         """Convert an image of a frame; images of 8 bits stay as they are."""
         if image.dtype == np.uint8:
             return np.asarray(image, dtype=np.uint8)
+        if self.are_swapped:
+            image = image.byteswap()
         if self.stretch is not None:
             return np.asarray(self.stretch.table(frame)[image], dtype=np.uint8)
         return np.asarray(np.minimum(image >> (self.bit_depth - 8), 255), dtype=np.uint8)
@@ -75,14 +81,55 @@ def find_grey_levels(
     range, as those of thermal cameras, are stretched. The stretch depends on the number of a frame
     only, neither on where reading begins nor on threads.
     """
+    swapped = _are_swapped(left)
+    if swapped:
+        left = [_Swapped(image) for image in left]
+        right = right and [None if image is None else _Swapped(image) for image in right]
     bit_depth = estimate_bit_depth(left)
     if bit_depth == 8:
         return GreyLevels(bit_depth)
     frames = sorted({round(i) for i in np.linspace(0, len(left) - 1, _SAMPLES).tolist()})
     if not _is_narrow(left, frames[:: _SAMPLES // 4], bit_depth):
-        return GreyLevels(bit_depth)
+        return GreyLevels(bit_depth, are_swapped=swapped)
     stretch = _measure(left, right, frames)
-    return GreyLevels(bit_depth, stretch)
+    return GreyLevels(bit_depth, stretch, swapped)
+
+
+@dataclass(frozen=True)
+class _Swapped:
+    """An image of 16 bits whose bytes are exchanged."""
+
+    image: StoredImage
+
+    @property
+    def name(self) -> str:
+        return self.image.name
+
+    def read(self, colour: bool = False) -> Pixels:
+        return self.image.read(colour).byteswap()
+
+
+def _are_swapped(images: Sequence[StoredImage]) -> bool:
+    """Whether neighbouring pixels differ much less after exchanging the bytes of their values."""
+    votes = []
+    for stored in images[:: max(1, len(images) // 3)]:
+        try:
+            image = stored.read()
+        except SourceError:
+            continue
+        if image.dtype != np.uint16:
+            return False
+        # Relative to the deviation, as an image of 8 bits may be in the upper byte only.
+        rough, smooth = (difference(i) / max(i.std(), 1.0) for i in (image, image.byteswap()))
+        votes.append(rough > _ROUGH and smooth < _SMOOTHER * rough)
+    return bool(votes) and all(votes)
+
+
+def difference(image: Pixels, columns: int = 1) -> float:
+    """Mean difference of pixels so many columns apart."""
+    values = image.astype(np.float32)
+    differences = np.abs(values[:, columns:] - values[:, :-columns])
+    return float(differences.mean()) if differences.size else 0.0
 
 
 def _is_narrow(images: Sequence[StoredImage], frames: Sequence[int], bit_depth: int) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from vo.base.errors import SourceError
 from vo.base.extras import require
@@ -14,9 +14,16 @@ from vo.recordings.formats.messages import (
     CompressedVideoMessage,
     ImageMessage,
 )
-from vo.recordings.formats.pixels import colour_pixels, depth_pixels, grey_pixels
+from vo.recordings.formats.pixels import (
+    as_other_yuv,
+    colour_pixels,
+    depth_pixels,
+    grey_pixels,
+    has_wrong_step,
+)
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS
 from vo.recordings.formats.warning_kinds import warning_kind
+from vo.recordings.sources.grey_levels import difference
 from vo.recordings.sources.images import Pixels, StoredImage, decode_image
 from vo.recordings.sources.listing import Shot
 from vo.recordings.sources.logs.log import Entry, Log, Topic
@@ -24,6 +31,8 @@ from vo.recordings.sources.logs.stamps import message_stamps
 
 _log = logging.getLogger(__name__)
 
+_CHECKED_IMAGES = 3
+_MAX_COLOUR_DIFFERENCE = 0.4  # of that of the brightness
 _PNG = b"\x89PNG"
 _DEPTH_HEADER = 12
 """Bytes of the header of `compressed_depth_image_transport`, in front of the PNG."""
@@ -31,12 +40,16 @@ _DEPTH_HEADER = 12
 
 @dataclass(frozen=True, eq=False)
 class MessageImage:
-    """A `StoredImage` in a message, or with `is_depth` depth in millimetres, 0 where unknown."""
+    """A `StoredImage` in a message, or with `is_depth` depth in millimetres, 0 where unknown.
+
+    `pixel_format`: replaces that of the message; empty if that is right.
+    """
 
     log: Log
     topic: Topic
     entry: Entry
     is_depth: bool = False
+    pixel_format: str = ""
 
     @property
     def name(self) -> str:
@@ -48,6 +61,8 @@ class MessageImage:
         try:
             message = self.topic.codec.decode(self.log.read(self.entry))
             if isinstance(message, ImageMessage):
+                if self.pixel_format:
+                    message = replace(message, pixel_format=self.pixel_format)
                 if self.is_depth:
                     return depth_pixels(message)
                 return colour_pixels(message) if colour else grey_pixels(message)
@@ -112,9 +127,50 @@ def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[
     ones; may grow.
     """
     if not issubclass(topic.codec.kind, CompressedVideoMessage):
-        return lambda number: MessageImage(log, topic, entries[number])
+        order = _order_of_yuv(log, topic, entries)
+        return lambda number: MessageImage(log, topic, entries[number], pixel_format=order)
     require("av", extra="video", what="video messages")
     from vo.recordings.sources.logs.video import LogVideo, VideoImage  # av is slow to import
 
     video = LogVideo(log, topic, entries)
     return lambda number: VideoImage(video, number, entries[number])
+
+
+def _order_of_yuv(log: Log, topic: Topic, entries: Sequence[Entry]) -> str:
+    """The encoding that the pixels have instead of the stated one, with a warning; or nothing.
+
+    The colour of an image is much smoother than its brightness.
+    """
+    found, votes = None, []
+    for entry in entries[:: max(1, len(entries) // _CHECKED_IMAGES)]:
+        try:
+            message = topic.codec.decode(log.read(entry))
+            if not isinstance(message, ImageMessage):
+                return ""
+            if found is None:
+                _warn_of_wrong_step(topic, message)
+            found = as_other_yuv(message)
+            if found is None:
+                return ""
+            # Two values alternate in the colour, so that pixels two columns apart are compared.
+            stated, other = (difference(grey_pixels(each), 2) for each in (message, found))
+        except SourceError:
+            continue
+        votes.append(stated < _MAX_COLOUR_DIFFERENCE * other)
+    if found is None or not votes or not all(votes):
+        return ""
+    _log.warning("%s: pixels are not as stated, and read as %s", topic.name, found.pixel_format)
+    return found.pixel_format
+
+
+def _warn_of_wrong_step(topic: Topic, message: ImageMessage) -> None:
+    if has_wrong_step(message):
+        _log.warning(
+            "%s: rows of %dx%d %s are said to have %d bytes, but the data are those of whole rows "
+            "without padding, and read so",
+            topic.name,
+            message.width,
+            message.height,
+            message.pixel_format,
+            message.step,
+        )
