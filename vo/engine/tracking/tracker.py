@@ -40,6 +40,9 @@ _RADII = (1.0, 3.0)
 _RADII_LOST = (3.0, 8.0)
 # Minimum ratio of the last frame's inliers that must agree with a pose from sparse image alignment.
 _MIN_SPARSE_RATIO = 0.5
+# Minimum ratio of the landmarks in view that confirm the first step of a segment at once. With
+# less, something that moves with the camera may be what was found: all other poses are tried.
+_MIN_FIRST_RATIO = 0.5
 
 
 class _InitialPose(NamedTuple):
@@ -106,8 +109,8 @@ class Tracker:
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
-        focal = self._focal_change.update(self._map.xyz[tracked.observed.rows], tracked)
-        return self._agreement.update(tracked) + focal
+        xyz = self._map.xyz[tracked.observed.rows]
+        return self._agreement.update(tracked) or self._focal_change.update(xyz, tracked)
 
     def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""
@@ -205,11 +208,33 @@ class Tracker:
         )
         for initial in initial_poses:
             tracked = self.refine(frame, initial.world_from_cam, is_alone=is_alone)
-            if best is None or (tracked is not None and tracked.inliers >= best.inliers):
+            if best is None or (tracked is not None and self._is_better(tracked, best)):
                 best = tracked
-            if best is not None and best.inliers >= initial.sufficient_inliers:
+            if best is None or best.inliers < initial.sufficient_inliers:
+                continue
+            if self.knows_velocity or best.inlier_ratio > _MIN_FIRST_RATIO:
                 return best
+        if best is not None and not self.knows_velocity:
+            pose = self.relocalize(frame, without=best.observed.rows[best.inlier])
+            second = None if pose is None else self.refine(frame, pose, is_alone=is_alone)
+            if second is not None and self._is_better(second, best):
+                best = second
         return best
+
+    def _is_better(self, tracked: TrackedFrame, best: TrackedFrame) -> bool:
+        """Whether a pose is at least as good as another: in the first step by the area it explains.
+
+        Near things have the most landmarks, but less of the image than what stands still.
+        """
+        if self.knows_velocity:
+            return tracked.inliers >= best.inliers
+        return self._cells(tracked) >= self._cells(best)
+
+    def _cells(self, tracked: TrackedFrame) -> int:
+        """Number of square parts of the image, 16 in a row, with a landmark that agrees."""
+        xy = tracked.observed.image_xy[tracked.inlier]
+        cells = np.floor(xy * (16.0 / self._map.rig.width)).astype(np.int64)
+        return len(np.unique(cells, axis=0))
 
     def _initial_poses(
         self,
@@ -261,8 +286,8 @@ class Tracker:
                 return pose
         return None
 
-    def relocalize(self, frame: PreprocessedFrame) -> Floats | None:
-        """world_from_cam from descriptors alone.
+    def relocalize(self, frame: PreprocessedFrame, without: Ints | None = None) -> Floats | None:
+        """world_from_cam from descriptors alone, without some rows of the map.
 
         Landmarks have positions as the camera of the last pose would see them, for matchers that
         compare how features lie to each other; NaN outside of its view.
@@ -273,7 +298,10 @@ class Tracker:
         size = self._map.rig.width, self._map.rig.height
         query = replace(self._features_of(np.arange(len(self._map))), xy=xy, size=size)
         matches = self._matcher.match(query, feature_set(frame.keypoints, size=size))
-        return self._pose(frame, matches.query, matches.train)
+        if without is None:
+            return self._pose(frame, matches.query, matches.train)
+        is_used = np.isin(matches.query, without, invert=True)
+        return self._pose(frame, matches.query[is_used], matches.train[is_used])
 
     def track_anywhere(self, frame: PreprocessedFrame) -> TrackedFrame | None:
         """Track a frame without a prediction."""
