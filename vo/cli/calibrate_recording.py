@@ -33,9 +33,9 @@ def check_outputs(inputs: list[Path], output: Path, picture: Path | None) -> Non
         if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
             raise OutputError(f"{path} cannot be written; give a file in an existing folder")
     if picture is not None:
-        from vo.tools.calibrating.plots import check_suffix
+        from vo.tools.drawing import check_plot
 
-        check_suffix(picture)
+        check_plot(picture, "picture")
 
 
 @contextmanager

@@ -21,11 +21,12 @@ from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.single_image import read_single_image
 from vo.tools.calibrating.printing import save_board
+from vo.tools.drawing import check_picture, write_picture
 from vo.tools.markers.boards import CharucoBoard, GridBoard, check_length, make_charuco, make_grid
 from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
 from vo.tools.markers.image_markers import FrameMarkers
-from vo.tools.markers.picture import check_picture, draw_markers, save_picture
+from vo.tools.markers.picture import draw_markers
 from vo.tools.markers.printing import parse_ids, save_grid, save_sheet
 from vo.tools.markers.search import MarkerFinder, find_too_small
 from vo.tools.markers.table import frame_record, write_csv
@@ -170,7 +171,7 @@ def _finished(
         most = max(frames, key=lambda frame: len(frame.markers))
         board = request.board
         length_m = request.length or (0.05 if board.board is None else board.square)
-        save_picture(request.picture, draw_markers(image, most, camera, length_m))
+        write_picture(request.picture, draw_markers(image, most, camera, length_m))
         written.append(request.picture)
     if request.csv is not None:
         write_csv(request.csv, frames)

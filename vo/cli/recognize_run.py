@@ -20,8 +20,9 @@ from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.single_image import read_single_image
+from vo.tools.drawing import check_picture
 from vo.tools.objects.database import DETECTOR, ObjectDatabase
-from vo.tools.objects.picture import check_picture, write_objects_picture
+from vo.tools.objects.picture import write_objects_picture
 from vo.tools.objects.tables import (
     FrameObjects,
     csv_text,

@@ -9,6 +9,7 @@ import numpy as np
 
 from vo.base.errors import OutputError
 from vo.base.extras import require
+from vo.base.files.complete_file import writing
 from vo.base.printable import printable
 from vo.base.types import Floats, Trajectory
 from vo.outputs.evaluation.report import Evaluation
@@ -45,10 +46,8 @@ def save_plot(
     if path.suffix.lower() not in _SUFFIXES:
         raise OutputError(f"{path}: unsupported kind of plot; use {', '.join(_SUFFIXES)}")
     figure = draw(evaluation, reference, title)
-    try:
+    with writing(path):
         figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def draw(evaluation: Evaluation, reference: Trajectory, title: str = "") -> Figure:

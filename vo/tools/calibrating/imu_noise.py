@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.base.errors import CalibrationError, OutputError
+from vo.base.errors import CalibrationError
+from vo.base.files.complete_file import writing
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.tools.calibrating.allan import AllanCurve, NoiseTerms, allan_curve, fit_terms
 
@@ -155,7 +156,5 @@ def write_kalibr(path: Path, result: ImuNoiseResult, topic: str) -> None:
         f"rostopic: {topic}",
         f"update_rate: {result.rate_hz:.6g}  # Hz",
     ]
-    try:
+    with writing(path):
         path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error

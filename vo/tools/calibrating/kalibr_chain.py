@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.base.types import Camera, Floats, Rig
 from vo.recordings.formats.calibration import ImuCalibration
 
@@ -32,11 +32,9 @@ def write_chain(path: Path, rig: Rig, imu: ImuCalibration) -> str:
         chain[f"cam{number}"] = _section(camera, lens, cam_from_imu, imu.time_offset_s)
     if rig.cam1_from_cam0 is not None:
         chain["cam1"]["T_cn_cnm1"] = rig.cam1_from_cam0.tolist()
-    try:
-        text = yaml.safe_dump(chain, sort_keys=False, default_flow_style=None, width=200)
+    text = yaml.safe_dump(chain, sort_keys=False, default_flow_style=None, width=200)
+    with writing(path):
         path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
     return ""
 
 

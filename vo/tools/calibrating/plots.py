@@ -7,21 +7,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vo.base.errors import OutputError
-from vo.base.extras import require
 from vo.tools.calibrating.advice import coverage
 from vo.tools.calibrating.calibrate import CalibrationResult
 from vo.tools.calibrating.imu_noise import ImuNoiseResult, SensorNoise
 from vo.tools.calibrating.report import camera_rms_px
+from vo.tools.drawing import check_plot, saved_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 # Okabe and Ito's palette, safe for colour-blind readers.
 _INK, _CORNER, _ARROW = "#333333", "#0072B2", "#D55E00"
-_SUFFIXES = (".png", ".pdf", ".svg")
 _ARROW_LENGTH = 0.03
 """Length of the arrow of a typical residual, relative to the image width."""
 
@@ -30,46 +27,20 @@ _MAX_TICKS = 9
 
 
 def save_plot(path: Path | str, result: CalibrationResult) -> None:
-    """Save the plot of a calibration as a .png, .pdf or .svg file.
+    """Save the plot of a calibration as a .png, .pdf or .svg file, with one row per camera.
 
     Raises:
         OutputError: unsupported suffix, or the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
     path = Path(path)
-    check_suffix(path)
-    figure = draw(result)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
-
-
-def check_suffix(path: Path) -> None:
-    """Check the suffix of the file, and that it can be drawn.
-
-    Raises:
-        OutputError: unsupported suffix.
-        MissingExtraError: matplotlib is not installed.
-    """
-    require("matplotlib", extra="report", what="plots")
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: unsupported kind of picture; use {', '.join(_SUFFIXES)}")
-
-
-def draw(result: CalibrationResult) -> Figure:
-    """Draw the plot as a figure without a window, with one row per camera."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    check_plot(path, "picture")
     cameras = result.detected.cameras
-    figure = Figure(figsize=(12.0, 4.6 * cameras), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(cameras, 2, width_ratios=(1.1, 1.0))
-    for camera in range(cameras):
-        _draw_corners(figure.add_subplot(grid[camera, 0]), result, camera)
-        _draw_errors(figure.add_subplot(grid[camera, 1]), result, camera)
-    return figure
+    with saved_figure(path, 12.0, 4.6 * cameras) as figure:
+        grid = figure.add_gridspec(cameras, 2, width_ratios=(1.1, 1.0))
+        for camera in range(cameras):
+            _draw_corners(figure.add_subplot(grid[camera, 0]), result, camera)
+            _draw_errors(figure.add_subplot(grid[camera, 1]), result, camera)
 
 
 def _draw_corners(axes: Axes, result: CalibrationResult, camera: int) -> None:
@@ -146,19 +117,11 @@ def save_allan_plot(path: Path, result: ImuNoiseResult) -> None:
         OutputError: unsupported suffix, or the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
-    check_suffix(path)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 4.8), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
-    _draw(left, result.gyro, "gyroscope", "rad/s")
-    _draw(right, result.accel, "accelerometer", "m/s²")
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    check_plot(path, "picture")
+    with saved_figure(path, 12.0, 4.8) as figure:
+        left, right = figure.subplots(1, 2)
+        _draw(left, result.gyro, "gyroscope", "rad/s")
+        _draw(right, result.accel, "accelerometer", "m/s²")
 
 
 def _draw(axes: Axes, sensor: SensorNoise, name: str, unit: str) -> None:

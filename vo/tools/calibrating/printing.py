@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vo.base.errors import OutputError
-from vo.base.extras import require
 from vo.base.types import Bytes
 from vo.tools.calibrating.board import Board
+from vo.tools.drawing import check_plot, saved_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SUFFIXES = (".pdf", ".png", ".svg")
 _METRES_PER_INCH = 0.0254
 _DPI = 300
 _PIXELS_PER_SQUARE = 80
@@ -31,19 +29,10 @@ def printed_page(path: Path, width_m: float, height_m: float, what: str) -> Iter
         OutputError: unsupported suffix, or the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path}: unsupported kind of file; use {', '.join(_SUFFIXES)}")
-    require("matplotlib", extra="report", what=what)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width_m / _METRES_PER_INCH, height_m / _METRES_PER_INCH), dpi=_DPI)
-    FigureCanvasAgg(figure)
-    yield figure
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    check_plot(path, "file", what)
+    width, height = width_m / _METRES_PER_INCH, height_m / _METRES_PER_INCH
+    with saved_figure(path, width, height, dpi=_DPI, layout=None) as figure:
+        yield figure
 
 
 def save_board(path: Path | str, board: Board) -> None:

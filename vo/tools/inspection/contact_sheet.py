@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vo.base.errors import OutputError, SourceError
+from vo.base.errors import SourceError
 from vo.base.types import Bytes
+from vo.tools.drawing import write_picture
 from vo.tools.inspection.images import ImageReader, evenly_spaced
 from vo.tools.inspection.opening import ImageSequence, OpenedRecording
 
@@ -36,12 +37,7 @@ def write_contact_sheet(path: Path, opened: OpenedRecording) -> None:
         opened.close()
     if not rows:
         raise SourceError(f"{opened.path} contains no readable image")
-    data = cv2.imencode(".png", np.vstack(rows))[1].tobytes()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    write_picture(path, np.vstack(rows), ".png")
 
 
 def _tiles(camera: ImageSequence, wanted: int) -> list[Bytes]:

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 
 from vo.base.errors import OutputError
-from vo.base.extras import require
+from vo.base.files.complete_file import writing
 from vo.base.printable import printable
 from vo.base.types import Bytes, Floats, Keypoints
+from vo.tools.drawing import check_plot, saved_figure, write_picture
 from vo.tools.laboratory.comparison import Comparison
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ _BY_OCTAVE = ((86, 180, 233), (230, 159, 0), (0, 158, 115), (204, 121, 167), (21
 """Colours of octaves, RGB, of Okabe and Ito's palette, safe for colour-blind readers."""
 
 _BAR, _MAPPED = "#0072B2", "viridis"
-_PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def draw_features(image: Bytes, found: Keypoints, sizes: Floats) -> Bytes:
@@ -54,12 +54,7 @@ def save_features(path: Path, image: Bytes, found: Keypoints, sizes: Floats) -> 
     Raises:
         OutputError: the file cannot be written.
     """
-    data = cv2.imencode(".png", draw_features(image, found, sizes))[1].tobytes()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    write_picture(path, draw_features(image, found, sizes))
 
 
 def check_picture(path: Path) -> None:
@@ -72,18 +67,6 @@ def check_picture(path: Path) -> None:
         raise OutputError(f"{path}: pictures of features are PNG files; choose a name with .png")
 
 
-def check_plot(path: Path) -> None:
-    """Check that a plot can be made, before the figures for it are computed.
-
-    Raises:
-        OutputError: unsupported suffix.
-        MissingExtraError: matplotlib is not installed.
-    """
-    require("matplotlib", extra="report", what="plots")
-    if path.suffix.lower() not in _PLOT_SUFFIXES:
-        raise OutputError(f"{path}: unsupported kind of plot; use {', '.join(_PLOT_SUFFIXES)}")
-
-
 def save_comparison(path: Path, rows: Sequence[Comparison], title: str) -> None:
     """Plot the share of good pairs by method and gap, and CPU times.
 
@@ -94,21 +77,14 @@ def save_comparison(path: Path, rows: Sequence[Comparison], title: str) -> None:
         MissingExtraError: matplotlib is not installed.
     """
     check_plot(path)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     methods = list(dict.fromkeys(row.method for row in rows))
-    figure = Figure(figsize=(9.0, 1.6 + 0.26 * len(methods)), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(printable(title), fontsize=11, parse_math=False)
-    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.2))
-    _draw_ratios(left, rows, methods)
-    _draw_times(right, rows, methods)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    with saved_figure(path, 9.0, 1.6 + 0.26 * len(methods), dpi=120) as figure:
+        figure.suptitle(printable(title), fontsize=11, parse_math=False)
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.2))
+        _draw_ratios(left, rows, methods)
+        _draw_times(right, rows, methods)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
 
 
 def _draw_ratios(axes: Axes, rows: Sequence[Comparison], methods: Sequence[str]) -> None:

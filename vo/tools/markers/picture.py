@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 
-from vo.base.errors import OutputError
 from vo.base.geometry.cameras import project
 from vo.base.types import Bytes, Camera, Floats
 from vo.tools.markers.image_markers import FrameMarkers, PlanePose
 
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 _BITS = 4  # of fractions of pixels
 _OUTLINE, _AMBIGUOUS, _TEXT = (80, 220, 60), (0, 170, 255), (80, 220, 60)  # BGR
 _AXES = ((60, 60, 240), (80, 220, 60), (240, 140, 60))  # x, y, z
 _STEPS = 12  # along an axis, which a lens bends
-
-
-def check_picture(path: Path) -> None:
-    """Check the name of a picture.
-
-    Raises:
-        OutputError: unsupported suffix.
-    """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path} must end in {', '.join(_SUFFIXES)}, which are written")
 
 
 def draw_markers(
@@ -46,21 +32,6 @@ def draw_markers(
     if frame.board is not None and camera is not None:
         _draw_axes(picture, camera, frame.board, 2.0 * length_m)
     return picture
-
-
-def save_picture(path: Path, picture: Bytes) -> None:
-    """Write a picture as PNG or JPEG.
-
-    Raises:
-        OutputError: unsupported suffix, or the file cannot be written.
-    """
-    check_picture(path)
-    data = cv2.imencode(path.suffix.lower(), picture)[1].tobytes()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def _draw_axes(picture: Bytes, camera: Camera, pose: PlanePose, length_m: float) -> None:

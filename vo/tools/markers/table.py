@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
 from vo.base.types import Floats
 from vo.tools.markers.image_markers import FrameMarkers, Marker, PlanePose
@@ -72,11 +72,9 @@ def write_csv(path: Path, frames: Iterable[FrameMarkers]) -> None:
     writer.writerow(COLUMNS)
     for frame in frames:
         writer.writerows(_row(frame, marker) for marker in frame.markers)
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text.getvalue(), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def _row(frame: FrameMarkers, marker: Marker) -> Sequence[object]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
 from vo.base.records.metric_scale import MetricScale, WorldFrame
 from vo.base.types import Floats
@@ -125,7 +125,5 @@ def write_markers(
         kind = (dictionary, f"{marker.length_m:.9g}")
         writer.writerow((each.world, marker.id, *texts, f"{marker.sigma_m:.4g}", *ends, *kind))
     path = folder / MARKERS_FILE
-    try:
+    with writing(path):
         path.write_text(text.getvalue(), encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -8,11 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vo.base.errors import OutputError
 from vo.base.types import Bytes, Floats
+from vo.tools.drawing import check_picture, write_picture
 from vo.tools.objects.records import FoundObject
 
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 _COLOURS = ((60, 200, 60), (40, 140, 255), (230, 120, 40), (200, 60, 200), (40, 210, 230))
 _REACH = 4.0  # outlines are drawn up to so many image sizes away
 
@@ -38,22 +37,7 @@ def write_objects_picture(
         # The upper side of the stored image is thicker, so that the orientation can be seen.
         cv2.line(canvas, corners[0], corners[1], colour, 3 * thickness, cv2.LINE_AA)
         _label(canvas, f"{each.name} {each.confidence:.2f}", corners, colour, thickness)
-    data = cv2.imencode(path.suffix.lower(), canvas)[1].tobytes()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
-
-
-def check_picture(path: Path) -> None:
-    """Check the suffix of a picture.
-
-    Raises:
-        OutputError: it is none that is written.
-    """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path} must end in {', '.join(_SUFFIXES)}, which are written")
+    write_picture(path, np.asarray(canvas, dtype=np.uint8))
 
 
 def _drawable(

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from vo.base.errors import OutputError
 from vo.base.geometry.cameras import distort, ideal_pixels
 from vo.base.geometry.transforms import skew
 from vo.base.types import Bools, Bytes, Camera, Floats, Ints
+from vo.tools.drawing import check_picture, write_picture
 from vo.tools.pairs.image_pair import ImagePair
 from vo.tools.pairs.simple_motions import inverse_matrix
 from vo.tools.pairs.two_view_records import ModelKind
@@ -20,7 +20,6 @@ _GAP = 8
 _FEATURE, _INLIER, _OUTLIER = (170, 170, 170), (80, 220, 60), (60, 60, 240)  # BGR
 _LINES = 16  # epipolar lines of each image
 _STEPS = 400  # points along an epipolar line, which a lens bends
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def write_pair_picture(
@@ -34,8 +33,7 @@ def write_pair_picture(
     Raises:
         OutputError: the file cannot be written.
     """
-    if path.suffix.lower() not in _SUFFIXES:
-        raise OutputError(f"{path} must end in {', '.join(_SUFFIXES)}, which are written")
+    check_picture(path)
     canvas = _Canvas(images)
     for side, keypoints in enumerate(pair.keypoints):
         canvas.dots(side, np.asarray(keypoints.xy, dtype=np.float64), _FEATURE, 1)
@@ -43,12 +41,7 @@ def write_pair_picture(
         canvas.connect(pair.first_xy[rows], pair.second_xy[rows], colour)
     if epipolar:
         _draw_lines(canvas, pair)
-    data = cv2.imencode(path.suffix.lower(), canvas.pixels)[1].tobytes()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
-    except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+    write_picture(path, canvas.pixels)
 
 
 def fundamental_of(pair: ImagePair) -> Floats | None:
