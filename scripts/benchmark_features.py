@@ -14,10 +14,9 @@ from vo.base.config import load_config
 from vo.engine.features.descriptors import available_descriptors
 from vo.engine.features.detectors import available_detectors
 from vo.recordings.sources.registry import open_source
-from vo.tools.laboratory.comparison import Comparison, compare
+from vo.tools.laboratory.comparison import Comparison, compare, plan_pairs
 from vo.tools.laboratory.methods import Method, fetched_methods, make_method
 from vo.tools.laboratory.pictures import save_comparison
-from vo.tools.laboratory.recording_pairs import plan_pairs
 
 GAPS = (1, 5, 15, 30)
 COUNT = 1024

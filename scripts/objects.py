@@ -27,8 +27,8 @@ from vo.recordings.sources.single_image import read_single_image
 from vo.tools.objects.confidence import THRESHOLD, evidence
 from vo.tools.objects.database import DETECTOR, ObjectDatabase
 from vo.tools.objects.flat_verification import FlatInstance
-from vo.tools.objects.overlap import without_overlaps
 from vo.tools.objects.records import FoundObject
+from vo.tools.objects.tracks import without_overlaps
 
 COVERS = ((0.0, 0.0), (0.0, 0.3), (0.3, 0.5))
 _RANGES: dict[str, tuple[float, ...]] = {

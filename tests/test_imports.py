@@ -137,7 +137,7 @@ RULE_CASES = (
         "import vo.outputs.evaluation",
         "vo.outputs.results must not know vo.outputs.evaluation",
     ),
-    ("vo.tools.maps.points", "import vo.runs.batch", "vo.tools.maps must not know vo.runs.batch"),
+    ("vo.tools.maps.contents", "import vo.runs.batch", "vo.tools.maps must not know vo.runs.batch"),
     (
         "vo.runs.run_recording",
         "import vo.tools.objects",

@@ -11,9 +11,8 @@ from typing import Any
 from vo.engine.maps.map_file import MapFile
 from vo.engine.places.vocabulary_file import built_in_vocabulary, read_vocabulary
 from vo.outputs.results.output_paths import refuse_to_overwrite
-from vo.tools.maps.contents import chosen_world, map_contents
+from vo.tools.maps.contents import chosen_world, export_ply, map_contents
 from vo.tools.maps.merging import merge_maps
-from vo.tools.maps.points import export_ply
 
 
 def load(path: str | Path) -> MapFile:

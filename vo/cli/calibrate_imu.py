@@ -32,7 +32,7 @@ def calibrate_imu(request: Request, source: Path, board: Board, output: Path) ->
     """Calibrate, write our own and Kalibr's file, and print the result."""
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.recordings.formats.calibration import write_calibration
-    from vo.tools.calibrating.imu_advice import comments, warnings_of
+    from vo.tools.calibrating.imu_camera import comments, warnings_of
     from vo.tools.calibrating.kalibr_chain import write_chain
 
     kalibr, printing = output.with_name(KALIBR_NAME), request.printing

@@ -19,12 +19,11 @@ from vo.engine.features.opencv import describe_missing
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.tools.drawing import check_plot
-from vo.tools.laboratory.comparison import compare, one_thread
+from vo.tools.laboratory.comparison import compare, one_thread, plan_pairs
 from vo.tools.laboratory.examination import examine
 from vo.tools.laboratory.images import GreyImage, is_image, read_frame, read_homography, read_image
 from vo.tools.laboratory.methods import KLT, Method, expand, make_method, missing_detectors
 from vo.tools.laboratory.pictures import check_picture, save_comparison, save_features
-from vo.tools.laboratory.recording_pairs import plan_pairs
 from vo.tools.laboratory.repeatability import score_plane
 
 if TYPE_CHECKING:

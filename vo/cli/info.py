@@ -59,7 +59,7 @@ def info_command(
         if not opened.cameras:
             picture = None  # the report contains the reason
         if picture is not None:
-            from vo.tools.inspection.contact_sheet import write_contact_sheet
+            from vo.tools.inspection.images import write_contact_sheet
 
             write_contact_sheet(picture, opened)
     written = None if picture is None else str(picture)

@@ -161,14 +161,13 @@ def match_command(
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.recordings.formats.calibration import read_calibration
     from vo.recordings.sources.single_image import read_single_image
-    from vo.tools.pairs.image_pair import match_images
+    from vo.tools.pairs.image_pair import match_images, pair_record
     from vo.tools.pairs.pair_options import (
         check_cameras,
         pair_cameras,
         pair_masks,
         pair_options,
     )
-    from vo.tools.pairs.pair_record import pair_record
 
     if epipolar and picture is None:
         raise ConfigError("--epipolar needs --picture FILE, where the lines are drawn")

@@ -23,8 +23,7 @@ from vo.engine.geometry.so3 import exp_rows, log_rows
 from vo.recordings.formats.calibration import ImuCalibration, read_calibration, write_calibration
 from vo.tools.calibrating.board import Board, make_board
 from vo.tools.calibrating.board_poses import BoardPoses, board_poses
-from vo.tools.calibrating.imu_advice import warnings_of
-from vo.tools.calibrating.imu_camera import ImuOnCamera, calibrate_imu_camera
+from vo.tools.calibrating.imu_camera import ImuOnCamera, calibrate_imu_camera, warnings_of
 from vo.tools.calibrating.kalibr_chain import write_chain
 
 BOARD = make_board("charuco", 7, 5, 0.04)

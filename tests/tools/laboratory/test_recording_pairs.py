@@ -15,7 +15,7 @@ from vo.base.errors import SourceError
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Trajectory
 from vo.recordings.formats.trajectory import read_tum
-from vo.tools.laboratory.recording_pairs import plan_pairs
+from vo.tools.laboratory.comparison import plan_pairs
 
 
 def test_motions_are_those_of_the_frames(synthetic_stereo: Path) -> None:

@@ -15,7 +15,7 @@ from vo.base.errors import InputError
 from vo.base.geometry.cameras import distort
 from vo.base.geometry.transforms import rotation_angle
 from vo.tools.objects.database import ObjectDatabase
-from vo.tools.objects.overlap import overlap
+from vo.tools.objects.tracks import overlap
 
 
 @pytest.fixture(scope="module")

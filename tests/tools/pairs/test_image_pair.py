@@ -15,10 +15,9 @@ from vo.base.config import Config
 from vo.base.errors import CalibrationError, ConfigError, OutputError
 from vo.base.geometry.transforms import rotation_angle
 from vo.base.types import Bytes, Camera, Rig
-from vo.tools.pairs.image_pair import ImagePair, PairOptions, match_images
+from vo.tools.pairs.image_pair import ImagePair, PairOptions, match_images, pair_record
 from vo.tools.pairs.pair_options import PairChoices, check_cameras, pair_cameras, pair_options
 from vo.tools.pairs.pair_picture import fundamental_of, write_pair_picture
-from vo.tools.pairs.pair_record import pair_record
 from vo.tools.pairs.sampson import line_errors
 from vo.tools.pairs.two_view_records import FitFailureReason, ModelKind
 

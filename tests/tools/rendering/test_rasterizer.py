@@ -7,8 +7,8 @@ import numpy as np
 from vo.base.geometry import cameras
 from vo.base.types import Camera
 from vo.recordings.formats.mesh import Mesh
-from vo.tools.rendering.placement import Placement, axes, placed, standing
 from vo.tools.rendering.rasterizer import draw, shading
+from vo.tools.rendering.render import Placement, axes, placed, standing
 
 CAMERA = Camera(80, 60, 50.0, 50.0, 39.5, 29.5)
 GREY = np.full((60, 80, 3), 100, np.uint8)
