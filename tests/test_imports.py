@@ -44,7 +44,8 @@ ENTRANCES = {
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.base": (
         {"errors", "failures", "faults", "printable", "scheduling", "stopwatch", "version"}
-        | {"compiling", "files", "option_names"},
+        | {"compiling", "option_names"},
+        {"files"},
         {"extras", "settings", "types"},
         {"feature_settings", "geometry", "images", "noise_classes", "records"},
         {"config"},
@@ -68,6 +69,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.recordings": ({"formats"}, {"sources"}),
     "vo.outputs": ({"evaluation", "recorders", "results", "streaming"}, {"report"}),
     "vo.tools": (
+        {"drawing"},
         {"calibrating", "pairs"},
         {"inspection", "laboratory", "maps", "markers", "objects", "rendering"},
     ),
