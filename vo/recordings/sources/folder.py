@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import glob
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
-from vo.base.errors import SourceError
+from vo.base.errors import CalibrationError, SourceError
 from vo.base.faults import Fault
 from vo.base.files.bounded_files import read_text
 from vo.base.types import Mode
+from vo.recordings.formats.calibration import Calibration, ImageSize
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, tum_truth
+from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.listing import (
     Shot,
     is_image_name,
@@ -22,6 +25,7 @@ from vo.recordings.sources.listing import (
     shots_from_times,
 )
 from vo.recordings.sources.pairing import copy_stamps
+from vo.recordings.sources.series import Series, find_cameras
 
 _log = logging.getLogger(__name__)
 
@@ -41,13 +45,17 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
     left_folder = path / "left" if is_pair else _image_folder(path)
     times = find_times_file(path, left_folder)
     faults: list[Fault] = []
-    left, named = assign_stamps(list_images(left_folder), path, times, faults)
+    found = _cameras(list_images(left_folder), path, times, faults, is_one=is_pair)
+    left = found.left
+    depth = None if mode == "mono" else found.depth
     return RecordingContents(
         name=path.resolve().name,
         format="folder",
         left=left,
-        right=_right(path / "right", left, named) if is_pair else None,
-        calibrate=calibration_reader(
+        right=_right(path / "right", left, found.named) if is_pair else found.right,
+        depth=depth,
+        calibrate=_calibration(
+            depth,
             calibration,
             [
                 path / "calibration.yaml",
@@ -75,8 +83,79 @@ def _has_images(path: Path) -> bool:
     return any(is_image_name(entry.name) for entry in path.iterdir())
 
 
+class _Listed(NamedTuple):
+    """Images with stamps, and whether these come from the names."""
+
+    left: list[Shot]
+    named: bool
+    right: list[Shot] | None = None
+    depth: list[Shot] | None = None
+
+
+def _cameras(
+    images: Sequence[Path],
+    where: Path | str,
+    times: Path | None,
+    faults: list[Fault],
+    *,
+    is_one: bool = False,
+) -> _Listed:
+    """The images by their cameras: all of one camera, or told apart by `find_cameras`."""
+    if is_one:
+        return _Listed(*assign_stamps(images, where, times, faults))
+    cameras = find_cameras(images)
+    one = cameras.left
+    left, named = assign_stamps(one.images, where, times, faults, one.stems)
+    return _Listed(
+        left,
+        named,
+        _beside(cameras.right, one, left, named),
+        _beside(cameras.depth, one, left, named),
+    )
+
+
+def _beside(series: Series | None, one: Series, left: list[Shot], named: bool) -> list[Shot] | None:
+    """Images of another camera, with stamps of their own names, or of the images they go with."""
+    if series is None:
+        return None
+    own = shots_from_names(series.images, series.stems) if named else None
+    if own is not None:
+        return own
+    stamp_of = {shot.image.name: shot.stamp_ns for shot in left}
+    shot_of = {key: stamp_of[str(image)] for key, image in zip(one.keys, one.images, strict=True)}
+    found = [
+        Shot(shot_of[key], ImageFile(image), f"file {image}")
+        for key, image in zip(series.keys, series.images, strict=True)
+        if key in shot_of
+    ]
+    return sorted(found, key=lambda shot: shot.stamp_ns)
+
+
+def _calibration(
+    depth: list[Shot] | None, chosen: Path | None, candidates: Sequence[Path]
+) -> Callable[[ImageSize], Calibration]:
+    """As `calibration_reader`; with depth images it has to state their unit."""
+    read = calibration_reader(chosen, candidates)
+
+    def with_unit(size: ImageSize) -> Calibration:
+        found = read(size)
+        if depth and found.depth_per_metre is None:
+            raise CalibrationError(
+                f"the unit of depth images such as {depth[0].image.name} is unknown: add "
+                f"`depth_per_metre: 1000` (millimetres, as of most cameras) to {found.file}, or "
+                "leave them out by `mode=mono`"
+            )
+        return found
+
+    return with_unit
+
+
 def assign_stamps(
-    images: Sequence[Path], where: Path | str, times: Path | None, faults: list[Fault] | None = None
+    images: Sequence[Path],
+    where: Path | str,
+    times: Path | None,
+    faults: list[Fault] | None = None,
+    stems: Sequence[str] | None = None,
 ) -> tuple[list[Shot], bool]:
     """Assign stamps to images, from a file, their names, or an assumed frame rate.
 
@@ -85,7 +164,7 @@ def assign_stamps(
     """
     if times is not None:
         return shots_from_times(times, images, faults), False
-    shots = shots_from_names(images)
+    shots = shots_from_names(images, stems)
     if shots is not None:
         return shots, True
     _log.warning(
@@ -125,14 +204,17 @@ def gather_glob(pattern: Path, calibration: Path | None, mode: Mode) -> Recordin
         raise SourceError(f"no image matches {pattern}; check the pattern, and put it in quotes")
     folder = images[0].parent
     faults: list[Fault] = []
-    left, _ = assign_stamps(images, str(pattern), _times(folder, len(images)), faults)
+    times = _times(folder, len(images))
+    found = _cameras(images, pattern, times, faults, is_one=times is not None)
+    depth = None if mode == "mono" else found.depth
     return RecordingContents(
         name=folder.resolve().name,
         format="glob",
-        left=left,
-        right=_right_of_pattern(str(pattern), left),
-        calibrate=calibration_reader(
-            calibration, [folder / "calibration.yaml", folder.parent / "calibration.yaml"]
+        left=found.left,
+        right=found.right or _right_of_pattern(str(pattern), found.left),
+        depth=depth,
+        calibrate=_calibration(
+            depth, calibration, [folder / "calibration.yaml", folder.parent / "calibration.yaml"]
         ),
         faults=faults,
     )

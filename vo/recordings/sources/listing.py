@@ -156,13 +156,15 @@ def median_interval_ns(stamps_ns: Sequence[int]) -> int:
     return int(statistics.median_low(steps)) if steps else 0
 
 
-def shots_from_names(images: Sequence[Path]) -> list[Shot] | None:
-    """Read stamps from file names that contain a time last; None if they do not.
+def shots_from_names(
+    images: Sequence[Path], stems: Sequence[str] | None = None
+) -> list[Shot] | None:
+    """Read stamps from file names, or `stems`, that contain a time last; None if they do not.
 
     Numbers with decimals are seconds. Whole numbers from 10^9 are nanoseconds, microseconds,
     milliseconds or seconds: the first unit with a median interval from 2 ms to 20 s.
     """
-    found = [_TIME_IN_NAME.search(path.stem) for path in images]
+    found = [_TIME_IN_NAME.search(stem) for stem in stems or [path.stem for path in images]]
     texts = [_SECONDS_AND_REST.sub(r"\1.\2", each[1]) for each in found if each is not None]
     if len(images) < 2 or len(texts) < len(images):
         return None
