@@ -155,7 +155,7 @@ def _judge(phases: Sequence[Phase], summary: Summary) -> int:
     print(f"result: {summary.verdict.word}, {summary.tracked} of {summary.frames} frames tracked")
     for warning in summary.warnings:
         print(f"warning: {warning}")
-    problems = judged(phases, summary.live.state.dropped, summary.warnings)
+    problems = judged(phases, summary.live.dropped, summary.warnings)
     for problem in problems:
         print(f"FAILED: {problem}")
     return int(bool(problems))

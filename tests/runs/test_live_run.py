@@ -185,7 +185,7 @@ def test_a_gap_of_the_stream_gets_no_poses(walk: Walk, tmp_path: Path) -> None:
             progress=consumer,
         )
     assert summary.live is not None
-    (gap,) = summary.live.state.gaps
+    (gap,) = summary.live.gaps
     stamps = np.array([estimate.stamp_ns for estimate in consumer.estimates])
     assert not ((stamps > gap.first_ns) & (stamps < gap.last_ns)).any()
     assert gap.last_ns - gap.first_ns > 200_000_000
@@ -300,7 +300,7 @@ def test_a_recorded_run_can_be_repeated(walk: Walk, tmp_path: Path) -> None:
             record=log,
         )
     assert live.live is not None
-    assert (live.live.state.unrecorded, live.live.state.dropped > 0) == (0, True)
+    assert (live.live.unrecorded, live.live.dropped > 0) == (0, True)
     assert summary_in(tmp_path / "live")["live"]["unrecorded"] == 0
     again = run(log, tmp_path / "again", config=FAST)
     assert (again.frames, again.facts.mode) == (30, "stereo")

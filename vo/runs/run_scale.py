@@ -65,7 +65,7 @@ class RunScale:
             new = self._sources.markers.new_worlds(self.by_world)
             store.turn_worlds(new.poses)
             notes += new.notes
-            self.findings = replace(self.findings, frames=new.frames)
+            self.findings = replace(self.findings, world_frames=new.frames)
         if self._sources.on_globe is not None:
             notes += write_georeference(folder, store.path(), self._sources.on_globe)
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))

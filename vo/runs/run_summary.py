@@ -19,7 +19,7 @@ def summarise_odometry(
         "hidden": odometry.hidden,
         "loops": placement.closed_loops,
         "relocalisations": placement.relocalisations,
-        "map_use": placement.map_use,
+        "map": placement.map_use,
         "networks": odometry.networks,
         "inertial": placement.inertial,
     }

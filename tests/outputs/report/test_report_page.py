@@ -285,11 +285,31 @@ def test_a_folder_that_is_not_a_run_is_refused(content: str | None, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("source", 5), ("tracked", "all"), ("segments", None), ("versions", []), ("wall_s", "1")],
+    [
+        *[("source", 5), ("tracked", "all"), ("segments", None), ("versions", []), ("wall_s", "1")],
+        *[("path_m", 10**400), ("frames", True), ("seed", 2**63), ("error", 1), ("mode", None)],
+    ],
 )
 def test_a_summary_with_wrong_types_is_refused(own_run: Path, name: str, value: object) -> None:
     change_summary(own_run, **{name: value})
-    assert f"summary.json: '{name}' is {value!r}, not " in make(own_run, expect=1)
+    assert f"summary.json: '{name}' is {repr(value)[:80]}, not " in make(own_run, expect=1)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"path_m": None}, "'segments[0].path_m' is None, not a number;"),
+        ({"frames": 1.5}, "'segments[0].frames' is 1.5, not a whole number;"),
+        ({"frames": ...}, "'segments[0].frames' is missing;"),
+    ],
+)
+def test_a_wrong_value_in_a_list_is_named(
+    own_run: Path, change: dict[str, object], told: str
+) -> None:
+    (segment,) = json.loads((own_run / "summary.json").read_text(encoding="utf-8"))["segments"]
+    kept = {name: value for name, value in {**segment, **change}.items() if value is not ...}
+    change_summary(own_run, segments=[kept])
+    assert told in make(own_run, expect=1)
 
 
 def test_a_report_replaces_only_html_pages(own_run: Path, tmp_path: Path) -> None:

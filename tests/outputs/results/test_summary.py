@@ -8,12 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.base.failures import Failure, FailureReason, ImageDefect
+from vo.base.failures import Failure, FailureReason, Gap, ImageDefect
 from vo.base.faults import Fault, FaultKind
 from vo.base.records.calibration_errors import CalibrationErrors, LensError
-from vo.base.records.closed_loops import ClosedLoop
+from vo.base.records.closed_loops import ClosedLoop, MapUse
+from vo.base.records.inertial_use import InertialStates, InertialUse
+from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.placed_frames import PlacedFrames
 from vo.base.types import Estimate, KeyframePose, Skipped, State, Trajectory
+from vo.outputs.results.live_summary import Delay, LiveState
 from vo.outputs.results.run_statistics import RunStatistics
 from vo.outputs.results.summary import RunFacts, Summary, summarise
 from vo.outputs.results.tables import COVARIANCE_HEADING, covariance_line
@@ -247,6 +250,35 @@ def test_every_key_is_documented_and_plain() -> None:
     assert keys["frames_per_s"] == 1.0
     assert keys["versions"]["gtsam"][0].isdigit()
     assert keys["peak_rss_mb"] > 10
+
+
+def test_records_are_plain_and_rounded_in_the_file() -> None:
+    plain = summary_of([estimate(0)], path_of([0]), mode="mono")
+    states = InertialStates(1.23456789, 0.1, (0.0, 1 / 3), 0.1, (), (), (), (), (), 0.5)
+    full = replace(
+        plain,
+        loops=(ClosedLoop("loop", 90, 10, 0, 0, 80, None, 0.123456, None),),
+        scale=ScaleFindings((MetricScale(0, 2 / 3, 0.01, "gps"),), ("a note",)),
+        map=MapUse("house.map", ("monday",), (0,)),
+        inertial=InertialUse("imu", states=states, time_offset_s=0.00123456),
+        live=LiveState(3, (Gap(1, 2, "cut"),), None, Delay(1.0, 2.0, 3.0)),
+    ).to_dict()
+    (loop,) = full["loops"]
+    assert loop["correction_m"] == 0.1235 and loop["correction_deg"] is None
+    assert not {"marker", "earlier_session"} & set(loop)
+    assert full["scales"] == [{"segment": 0, "value": 0.666666667, "sigma": 0.01, "source": "gps"}]
+    assert full["map"]["sessions"] == ["monday"]
+    assert full["inertial"]["states"]["scale"] == 1.23457
+    assert full["inertial"]["states"]["up"] == [0.0, 0.333333]
+    assert full["inertial"]["time_offset_s"] == 0.001235
+    assert full["live"] == {
+        "dropped": 3,
+        "gaps": [{"first_ns": 1, "last_ns": 2, "reason": "cut"}],
+        "unrecorded": None,
+        "delay_ms": {"median": 1.0, "p95": 2.0, "max": 3.0},
+    }
+    assert set(full) - set(plain.to_dict()) == {"scales", "map", "inertial", "live"}
+    assert json.loads(json.dumps(full)) == full
 
 
 def test_covariance_is_the_upper_triangle() -> None:

@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
-
-_OFFSETS = (
-    "time_offset_s",
-    "time_offset_sigma_s",
-    "used_time_offset_s",
-    "given_time_offset_s",
-)
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -69,24 +61,3 @@ class InertialUse:
     used_time_offset_s: float = 0.0
     given_time_offset_s: float = 0.0
     is_contradiction: bool = False
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        fields = asdict(self)
-        del fields["is_contradiction"]  # it is among the faults
-        if self.states is not None:
-            fields["states"] = {name: _rounded(v) for name, v in asdict(self.states).items()}
-        fields["metric_worlds"] = list(self.metric_worlds)
-        for name in _OFFSETS:
-            fields[name] = None if fields[name] is None else round(fields[name], 6)
-        return fields
-
-
-def _rounded(value: float | tuple[float, ...]) -> float | list[float]:
-    if isinstance(value, tuple):
-        return [_rounded_number(v) for v in value]
-    return _rounded_number(value)
-
-
-def _rounded_number(value: float) -> float:
-    return float(f"{value:.6g}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 from vo.base.records.placed_frames import PlacedFrames
 from vo.base.types import Estimate, Snapshot
@@ -38,10 +38,6 @@ class MetricScale(NamedTuple):
         """Standard deviation relative to the value: that of every length."""
         return self.sigma / self.value
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {**self._asdict(), "value": _digits(self.value), "sigma": _digits(self.sigma)}
-
 
 class WorldFrame(NamedTuple):
     """A frame of markers that a world of a run was given.
@@ -60,11 +56,6 @@ class WorldFrame(NamedTuple):
     sigma_m: float
     sigma_deg: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        sigmas = {"sigma_m": float(f"{self.sigma_m:.4g}"), "sigma_deg": round(self.sigma_deg, 4)}
-        return {**self._asdict(), "markers": list(self.markers), **sigmas}
-
 
 @dataclass(frozen=True)
 class ScaleFindings:
@@ -73,12 +64,12 @@ class ScaleFindings:
     Attributes:
         scales: at most one of each world.
         notes: sentences for the user: why there is no scale, and what was left out.
-        frames: at most one of each world that has another frame than that of its first camera.
+        world_frames: at most one of each world whose frame is not that of its first camera.
     """
 
     scales: tuple[MetricScale, ...] = ()
     notes: tuple[str, ...] = ()
-    frames: tuple[WorldFrame, ...] = ()
+    world_frames: tuple[WorldFrame, ...] = ()
 
     def by_segment(self) -> dict[int, MetricScale]:
         """The scales by the number of their world."""
@@ -146,7 +137,3 @@ def _contradiction(best: MetricScale, other: MetricScale) -> str:
         f"the scale by {other.source} differs by {other.value / best.value - 1.0:+.1%} from that "
         f"by {best.source}, which is used: more than their uncertainty allows"
     )
-
-
-def _digits(value: float) -> float:
-    return float(f"{value:.9g}")

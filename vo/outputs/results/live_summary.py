@@ -3,20 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.failures import Gap
-
-
-class LiveState(NamedTuple):
-    """A live source as far as it has come."""
-
-    dropped: int  # images that were left out, because newer ones came before they could be tracked
-    gaps: tuple[Gap, ...] = ()  # times without images, because the connection was lost
-    # tracked frames that `--record` has left out; None without `--record`
-    unrecorded: int | None = None
 
 
 class Delay(NamedTuple):
@@ -27,19 +18,14 @@ class Delay(NamedTuple):
     max: float
 
 
-class LiveSummary(NamedTuple):
-    """The part of `summary.json` that only runs on live sources have."""
+class LiveState(NamedTuple):
+    """A live source as far as it has come; only runs on one have it in `summary.json`."""
 
-    state: LiveState
-    delay_ms: Delay | None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {
-            **self.state._asdict(),
-            "gaps": [gap._asdict() for gap in self.state.gaps],
-            "delay_ms": None if self.delay_ms is None else self.delay_ms._asdict(),
-        }
+    dropped: int  # images that were left out, because newer ones came before they could be tracked
+    gaps: tuple[Gap, ...] = ()  # times without images, because the connection was lost
+    # tracked frames that `--record` has left out; None without `--record`
+    unrecorded: int | None = None
+    delay_ms: Delay | None = None
 
 
 def delay_of(delays_ms: Sequence[float]) -> Delay | None:
@@ -50,26 +36,26 @@ def delay_of(delays_ms: Sequence[float]) -> Delay | None:
     return Delay(round(float(median), 1), round(float(p95), 1), round(float(largest), 1))
 
 
-def live_warnings(live: LiveSummary | None, frames: int) -> list[str]:
+def live_warnings(live: LiveState | None, frames: int) -> list[str]:
     """Warnings about images that were not tracked or not recorded."""
     if live is None:
         return []
-    state, warnings = live.state, []
-    if state.dropped:
-        ratio = state.dropped / max(frames + state.dropped, 1)
+    warnings = []
+    if live.dropped:
+        ratio = live.dropped / max(frames + live.dropped, 1)
         warnings.append(
-            f"{state.dropped} images of the camera dropped ({ratio:.0%}): newer ones came before "
+            f"{live.dropped} images of the camera dropped ({ratio:.0%}): newer ones came before "
             "they could be tracked; `config=fast` needs less time"
         )
-    if state.gaps:
-        longest_s = max(1e-9 * (gap.last_ns - gap.first_ns) for gap in state.gaps)
-        times = f"{len(state.gaps)} times" if len(state.gaps) > 1 else "once"
+    if live.gaps:
+        longest_s = max(1e-9 * (gap.last_ns - gap.first_ns) for gap in live.gaps)
+        times = f"{len(live.gaps)} times" if len(live.gaps) > 1 else "once"
         warnings.append(
             f"connection lost {times}, for up to {longest_s:.1f} s; there are no poses in between"
         )
-    if state.unrecorded:
+    if live.unrecorded:
         warnings.append(
-            f"{state.unrecorded} tracked frames are missing in the file of `record`: the disk was "
+            f"{live.unrecorded} tracked frames are missing in the file of `record`: the disk was "
             "too slow"
         )
     return warnings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,10 +33,6 @@ class FaultRecord(NamedTuple):
     last: int | None  # number of the last frame with it, or None
     value: float  # of the largest magnitude, in the unit of its message
     place: str = ""  # where the one of this value lies in the image; empty if that does not apply
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        return {**self._asdict(), "kind": self.kind.value, "value": round(self.value, 4)}
 
 
 class FaultLog:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Enum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -11,12 +12,12 @@ import numpy as np
 from vo.base.failures import Failure
 from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
-from vo.base.records.inertial_use import InertialUse
-from vo.base.records.metric_scale import ScaleFindings, has_all_scales
+from vo.base.records.inertial_use import InertialStates, InertialUse
+from vo.base.records.metric_scale import MetricScale, ScaleFindings, WorldFrame, has_all_scales
 from vo.base.records.placed_frames import PlacedFrames
 from vo.base.types import Ints, Skipped, State
 from vo.outputs.results.environment import peak_rss_mb, versions
-from vo.outputs.results.live_summary import LiveState, LiveSummary, delay_of
+from vo.outputs.results.live_summary import LiveState, delay_of
 from vo.outputs.results.run_statistics import (
     FaultRecord,
     FrameRange,
@@ -32,6 +33,27 @@ from vo.recordings.formats.warning_kinds import LoggedWarning
 Status = Literal["finished", "interrupted", "failed"]
 
 SCHEMA_VERSION = 1
+
+_DIGITS: Mapping[object, int | str] = {  # decimals of the numbers of a record, or their format
+    StageTime: 3,
+    FaultRecord: 4,
+    RightCameraError: 3,
+    LensError: 5,
+    ClosedLoop: 4,
+    Relocalisation: 4,
+    MetricScale: ".9g",
+    (WorldFrame, "sigma_m"): ".4g",
+    (WorldFrame, "sigma_deg"): 4,
+    InertialUse: 6,
+    InertialStates: ".6g",
+}
+# Keys that are missing where there is nothing to tell.
+_OPTIONAL = (
+    *("map", "scale", "world_frames", "inertial", "profile", "live"),
+    *("earlier_session", "marker"),
+)
+# Fields that are no keys: reasons, warnings and faults tell them.
+LEFT_OUT = ("opening_warnings", "notes", "main_failure", "defect", "is_contradiction")
 
 
 @dataclass(frozen=True)
@@ -75,11 +97,10 @@ class Segment(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Summary of a run; `to_dict` gives the content of `summary.json`."""
+    """Summary of a run, with the fields of `summary.json` in their order."""
 
     status: Status
     error: str | None = None
-    facts: RunFacts
     frames: int
     tracked: int
     interpolated: int
@@ -96,26 +117,27 @@ class Summary:
     landmarks: int
     path_m: float
     wall_s: float
-    stages: Mapping[str, StageTime]
     peak_rss_mb: float
     versions: Mapping[str, str]
     median_inliers: float | None
     median_disparity_px: float | None
     disparity_offset_px: float
     disparity_curve_px: float = 0.0
-    right_camera: RightCameraError | None = None
-    lens_error: LensError | None = None
-    main_failure: Failure | None = None
     faults: tuple[FaultRecord, ...] = ()
-    profile: Profile | None = None
-    live: LiveSummary | None = None
     hidden: tuple[float, ...] = ()
     loops: tuple[ClosedLoop, ...] = ()
     relocalisations: tuple[Relocalisation, ...] = ()
-    map_use: MapUse | None = None
     networks: tuple[Mapping[str, str], ...] = ()
+    facts: RunFacts
+    right_camera: RightCameraError | None = None
+    lens_error: LensError | None = None
+    map: MapUse | None = None
     scale: ScaleFindings | None = None
     inertial: InertialUse | None = None
+    stages: Mapping[str, StageTime]
+    profile: Profile | None = None
+    live: LiveState | None = None
+    main_failure: Failure | None = None
 
     @property
     def is_metric(self) -> bool:
@@ -124,7 +146,7 @@ class Summary:
             return True
         scales = {} if self.scale is None else self.scale.by_segment()
         upright = () if self.inertial is None else self.inertial.metric_worlds
-        known = () if self.map_use is None else self.map_use.metric_worlds
+        known = () if self.map is None else self.map.metric_worlds
         worlds = [each.segment for each in self.segments]
         return has_all_scales(worlds, {*scales, *upright, *known})
 
@@ -169,38 +191,10 @@ class Summary:
         return tuple(text for text in self.warnings if text not in shown)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        facts, stages = fields.pop("facts"), fields.pop("stages")
-        del fields["map_use"], fields["scale"]
-        known = asdict(facts)
-        del known["opening_warnings"]  # among all warnings
-        del fields["main_failure"]  # without_pose has the reasons
-        profile, right, lens = (fields.pop(n) for n in ("profile", "right_camera", "lens_error"))
-        live: LiveSummary | None = fields.pop("live")
-        inertial: InertialUse | None = fields.pop("inertial")
+        """Content of `summary.json`."""
         return {
             "schema_version": SCHEMA_VERSION,
-            **fields,
-            **known,
-            "right_camera": None if right is None else _rounded(right),
-            "lens_error": None if lens is None else _rounded(lens, 5),
-            "topics": list(facts.topics),
-            "hidden": list(self.hidden),
-            "loops": [_loop_fields(loop) for loop in self.loops],
-            "relocalisations": [_loop_fields(found) for found in self.relocalisations],
-            **({} if self.map_use is None else {"map": asdict(self.map_use)}),
-            **({} if self.scale is None else _scale_fields(self.scale)),
-            "networks": [dict(network) for network in self.networks],
-            **({} if inertial is None else {"inertial": inertial.to_dict()}),
-            "skipped": [asdict(s) for s in self.skipped],
-            "faults": [record.to_dict() for record in self.faults],
-            "without_pose": [_range_fields(r) for r in self.without_pose],
-            "segments": [s._asdict() for s in self.segments],
-            "stages": {name: _rounded(times) for name, times in stages.items()},
-            **({} if profile is None else {"profile": profile._asdict()}),
-            **({} if live is None else {"live": live.to_dict()}),
-            "versions": dict(self.versions),
+            **_plain(self),
             "length_unit": self.length_unit,
             "frames_per_s": round(self.frames_per_s, 3),
             "warnings": list(self.warnings),
@@ -266,7 +260,7 @@ def summarise(
         main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
         hidden=tuple(round(ratio, 4) for ratio in found.pop("hidden", ())),
-        live=None if live is None else LiveSummary(live, delay_of(statistics.delays_ms)),
+        live=None if live is None else live._replace(delay_ms=delay_of(statistics.delays_ms)),
         **found,
     )
 
@@ -293,27 +287,6 @@ def _untracked(facts: RunFacts, status: Status, statistics: RunStatistics) -> In
     return np.asarray(requested[np.arange(len(requested)) % facts.every != 0])
 
 
-def _range_fields(range_: FrameRange) -> dict[str, Any]:
-    fields = range_._asdict()
-    del fields["defect"]  # it is part of the reason
-    return fields
-
-
-def _scale_fields(found: ScaleFindings) -> dict[str, Any]:
-    frames = {"world_frames": [frame.to_dict() for frame in found.frames]} if found.frames else {}
-    return {"scales": [scale.to_dict() for scale in found.scales], **frames}
-
-
-def _loop_fields(loop: ClosedLoop | Relocalisation) -> dict[str, Any]:
-    fields = asdict(loop)
-    for name in ("earlier_session", "marker"):
-        if fields.get(name, 0) is None:
-            del fields[name]
-    for name in ("correction_m", "correction_deg"):
-        fields[name] = None if fields[name] is None else round(fields[name], 4)
-    return fields
-
-
 def _segments(path: PlacedFrames) -> list[Segment]:
     steps = np.linalg.norm(np.diff(path.trajectory.positions, axis=0), axis=1)
     steps[np.diff(path.segment) != 0] = 0.0  # the way between segments is unknown
@@ -335,5 +308,29 @@ def _segments(path: PlacedFrames) -> list[Segment]:
     return segments
 
 
-def _rounded(values: StageTime | RightCameraError | LensError, digits: int = 3) -> dict[str, float]:
-    return {name: round(value, digits) for name, value in values._asdict().items()}
+def _plain(value: Any, digits: int | str | None = None) -> Any:
+    """A value of a summary for JSON, with decimals, or a format, of its numbers."""
+    names = getattr(value, "_fields", ()) or getattr(value, "__dataclass_fields__", ())
+    if names:
+        return _record(value, names)
+    if isinstance(value, Mapping):
+        return {name: _plain(each, digits) for name, each in value.items()}
+    if isinstance(value, tuple | list):
+        return [_plain(each, digits) for each in value]
+    if isinstance(value, Enum):
+        return value.value
+    if digits is None or not isinstance(value, float):
+        return value
+    return round(value, digits) if isinstance(digits, int) else float(format(value, digits))
+
+
+def _record(record: Any, names: Iterable[str]) -> dict[str, Any]:
+    kind, fields = type(record), {}
+    for name in names:
+        value = getattr(record, name)
+        plain = _plain(value, _DIGITS.get((kind, name), _DIGITS.get(kind)))
+        if isinstance(value, RunFacts | ScaleFindings):
+            fields.update(plain)  # their fields are keys of the summary
+        elif name not in LEFT_OUT and not (name in _OPTIONAL and plain in (None, [])):
+            fields[name] = plain
+    return fields

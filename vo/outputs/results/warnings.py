@@ -47,7 +47,7 @@ def run_warnings(summary: Summary) -> list[str]:
             [record.kind for record in summary.faults if not record.is_handled],
         ),
         *far_scene_warnings(summary.median_disparity_px),
-        *map_warnings(summary.map_use, [s.segment for s in summary.segments]),
+        *map_warnings(summary.map, [s.segment for s in summary.segments]),
         *_world_warnings(summary),
         *inertial_warnings(summary.inertial, summary.inertial_poses, summary.inertial_orientations),
     ]
