@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 # Control characters can move the cursor, rename the window or send input to the shell; marks of
 # writing direction show text in another order than it has.
 _CONTROLS = [*range(0x20), *range(0x7F, 0xA0)]
@@ -18,6 +20,22 @@ def printable(text: str) -> str:
     Ends of lines and tabs stay.
     """
     return text if text.isprintable() else text.translate(_REPLACED)
+
+
+def spreadsheet_row(values: Iterable[object]) -> list[object]:
+    """Values of a table for spreadsheets: text that these would take for a formula has a quote."""
+    return [f"'{v}" if isinstance(v, str) and _is_formula(v) else v for v in values]
+
+
+def _is_formula(text: str) -> bool:
+    """Whether a cell with this text is calculated; numbers are no formulas."""
+    if not text.lstrip().startswith(("=", "+", "-", "@")):
+        return False
+    try:
+        float(text)
+    except ValueError:
+        return True
+    return False
 
 
 def counted(number: int, noun: str) -> str:

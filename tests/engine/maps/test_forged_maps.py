@@ -142,6 +142,7 @@ PLACEMENTS = {
     "far away": {"world_from_cam": np.stack([np.eye(4), FAR, np.eye(4)])},
     "negative world": {"world": np.array([0, -1, 0])},
     "huge world": {"world": np.array([0, 2**63 - 1, 0])},
+    "negative variance": {"covariance": -np.ones((3, 1, 1)) * np.eye(6)},
 }
 
 
@@ -156,6 +157,8 @@ def test_an_impossible_placement_is_one_error(changes: dict[str, Any], tmp_path:
     [
         {"earlier_from_later": np.full((4, 4), np.nan)},
         {"scale": -1.0},
+        {"covariance": np.full((7, 7), np.nan)},
+        {"covariance": -np.eye(7)},
         {"later": KEYS[0]._replace(session=-1)},
     ],
 )
@@ -215,6 +218,9 @@ LANDMARKS = {
     "negative octave": {"octave": np.full(COUNT, -1, np.int32)},
     "no position": {"xyz": np.full((COUNT, 3), np.nan, np.float32)},
     "far away": {"xyz": np.full((COUNT, 3), 3e38, np.float32)},
+    "exact depth": {"sigma": np.zeros(COUNT, np.float32)},
+    "negative uncertainty": {"sigma": np.full(COUNT, -1.0, np.float32)},
+    "no uncertainty": {"sigma": np.full(COUNT, np.nan, np.float32)},
     "no pixel": {"xy": np.full((COUNT, 2), np.nan, np.float32)},
 }
 
@@ -230,6 +236,8 @@ def test_impossible_landmarks_are_one_error(changes: dict[str, Any], tmp_path: P
     "changes",
     [
         {"odom_from_cam": np.full((4, 4), 2.0)},
+        {"covariance": np.full((6, 6), np.nan)},
+        {"covariance": -np.eye(6)},
         {"thumbnail": np.zeros((0, 0), np.uint8)},
         {"frame": replace(PLACES[1].frame, segment=2**62)},
         {"key": KEYS[1]._replace(keyframe=77)},
@@ -254,3 +262,13 @@ def test_a_pipe_is_no_map_and_nobody_waits_for_it(tmp_path: Path) -> None:
         assert done.stderr.splitlines() == [
             f"error: cannot read the map {path}: it is a device or a pipe, not a file"
         ]
+
+
+def test_an_index_of_many_values_is_refused_unread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Text of 3 bytes is a list of 56; a file of this size has no such number of keyframes."""
+    _write(tmp_path / "a.map")
+    _forge(tmp_path / "a.map", b"[" + b"[]," * 100_000 + b"[]]")
+    monkeypatch.setattr(map_file, "load_json", lambda _: pytest.fail("it is read"))
+    _is_damaged(tmp_path / "a.map")

@@ -15,7 +15,7 @@ from vo.cli.app import app
 from vo.runs.batch.comparison import compare
 from vo.runs.batch.job import JobResult, JobStatus
 from vo.runs.batch.planning import Plan
-from vo.runs.batch.tables import write_tables
+from vo.runs.batch.tables import table_text, write_tables
 
 
 def results(
@@ -115,3 +115,8 @@ def test_a_folder_without_a_batch_is_one_line(folders: list[str], tmp_path: Path
     done = CliRunner().invoke(app, ["compare", folders[0], str(tmp_path / "other")])
     assert done.exit_code == 1
     assert "is not the summary of a batch" in done.stderr
+
+
+def test_names_that_look_like_formulas_are_text_in_the_table() -> None:
+    rows = table_text([JobResult("=cmd|' /C calc'!A0", "walk", JobStatus.DONE, tags={"t": "@x"})])
+    assert "'=cmd" in rows and "'@x" in rows and not rows.splitlines()[1].startswith("=")

@@ -15,6 +15,7 @@ _MAX_SCALE = 1e9  # and the inverse of the smallest one
 _MAX_SHEAR = 1e-3  # of the elements of a rotation
 _MAX_SIDE = 100_000  # pixels
 _MAX_OCTAVE = 63
+_ROUNDING = 1e-6  # of the largest element of a covariance
 
 
 def number(value: Any) -> int:
@@ -76,6 +77,20 @@ def check_poses(poses: Floats, scale: Floats) -> None:
         raise ValueError("a scale is not positive")
 
 
+def check_covariances(covariances: Floats) -> None:
+    """Check covariances (n, k, k); 0 is exact.
+
+    Raises:
+        ValueError: one is not finite, not symmetric, or has a negative variance.
+    """
+    if not np.isfinite(covariances).all():
+        raise ValueError("a covariance is not finite")
+    limit = _ROUNDING * np.abs(covariances).max(axis=(1, 2), initial=0.0)
+    skew = np.abs(covariances - covariances.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
+    if (skew > limit).any() or (np.linalg.eigvalsh(covariances).min(axis=1) < -limit).any():
+        raise ValueError("a covariance has a negative variance, or is not symmetric")
+
+
 def check_place(place: Place) -> None:
     """Check a keyframe beyond the shapes of its arrays.
 
@@ -84,6 +99,9 @@ def check_place(place: Place) -> None:
     """
     landmarks, descriptor = place.landmarks, place.descriptor
     check_poses(place.odom_from_cam[None], np.ones(1))
+    check_covariances(place.covariance[None])
+    if not (landmarks.sigma > 0).all():
+        raise ValueError("a landmark has no uncertainty")
     if landmarks.descriptor.shape[1] != descriptor.shape[1]:
         raise ValueError("the landmarks of a keyframe have other descriptors than its features")
     if landmarks.descriptor.dtype != descriptor.dtype:

@@ -25,6 +25,7 @@ from vo.base.files.complete_file import complete_file
 from vo.base.types import Camera
 from vo.engine.maps.checks import (
     MAX_NUMBER,
+    check_covariances,
     check_place,
     check_poses,
     ideal_camera,
@@ -41,6 +42,7 @@ _VERSION = 1
 _HEAD = struct.Struct("<8sI4x")
 _TAIL = struct.Struct("<QQ32s8s")  # offset, length and SHA-256 of the index
 _MAX_INDEX_BYTES = 2**30
+_MAX_VALUES = 10_000  # of an index, besides those that keyframes of the file's size can have
 _PLACEMENT = np.dtype(
     [
         ("world", "<i8"),
@@ -219,7 +221,8 @@ class MapFile:
         self._end = begin
         self._file.seek(begin)
         data = self._file.read(length)
-        if hashlib.sha256(data).digest() != digest:
+        # Values take far more memory than text, and each keyframe has five besides its own bytes.
+        if hashlib.sha256(data).digest() != digest or data.count(b",") > _MAX_VALUES + begin // 32:
             raise self._damaged()
         try:
             self._take(load_json(data))
@@ -240,8 +243,11 @@ class MapFile:
         if len(placements) != len(self._parts):
             raise ValueError("keyframes without placement")
         check_poses(placements["world_from_cam"], placements["scale"])
+        covariance = placements["covariance"]
+        check_covariances(covariance[~np.isnan(covariance).all(axis=(1, 2))])
         table = np.frombuffer(self._read(index["loops"]), _LOOP)
         check_poses(table["earlier_from_later"], table["scale"])
+        check_covariances(table["covariance"])
         for numbers in (placements["world"], table["earlier"], table["later"]):
             if not ((numbers >= 0) & (numbers <= MAX_NUMBER)).all():
                 raise ValueError("a number of a world, session or keyframe is impossible")

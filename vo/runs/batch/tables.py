@@ -15,6 +15,7 @@ from typing import Any
 from vo.base.errors import SourceError
 from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.printable import spreadsheet_row
 from vo.base.version import __version__
 from vo.outputs.results.folder import write_atomically
 from vo.runs.batch.datasets import table_of
@@ -97,12 +98,12 @@ def table_text(results: Sequence[JobResult]) -> str:
     tags = sorted({tag for result in results for tag in result.tags})
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*_COLUMNS, *(f"tag:{tag}" for tag in tags)])
+    writer.writerow(spreadsheet_row([*_COLUMNS, *(f"tag:{tag}" for tag in tags)]))
     for result in results:
         values = result.to_dict()
         values["warnings"] = "; ".join(result.warnings)
         row = ["" if values[name] is None else values[name] for name in _COLUMNS]
-        writer.writerow([*row, *(result.tags.get(tag, "") for tag in tags)])
+        writer.writerow(spreadsheet_row([*row, *(result.tags.get(tag, "") for tag in tags)]))
     return stream.getvalue()
 
 

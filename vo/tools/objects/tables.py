@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
+from vo.base.printable import spreadsheet_row
 from vo.tools.objects.records import FoundObject, StoredObject
 from vo.tools.objects.tracks import Track
 
@@ -74,7 +75,8 @@ def csv_text(frames: Sequence[FrameObjects]) -> str:
                 pose = [f"{value:.6f}" for value in (*each.cam_from_object[:3, 3], *quat)]
             corners = [f"{value:.2f}" for value in each.outline.ravel().tolist()]
             head = (frame.frame, stamp, track, each.name, each.part)
-            writer.writerow((*head, f"{each.confidence:.4f}", each.inliers, *corners, *pose))
+            row = (*head, f"{each.confidence:.4f}", each.inliers, *corners, *pose)
+            writer.writerow(spreadsheet_row(row))
     return text.getvalue()
 
 

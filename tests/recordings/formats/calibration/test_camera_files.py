@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +158,20 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError):  # without distortion, a matrix is refused
         read_calibration(path, SIZE)
     assert not (tmp_path / "boom").exists()
+
+
+@pytest.mark.parametrize("shape", ["(10000000000000,)", "(3, 10000000000000)", "(-1,)", "(9,)"])
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_array_that_states_more_than_it_has_is_left_out(
+    tmp_path: Path, shape: str, version: int
+) -> None:
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    length = len(text).to_bytes(2 * version, "little")
+    path = tmp_path / "calibration.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("mtx.npy", b"\x93NUMPY" + bytes([version, 0]) + length + text)
+    with pytest.raises(CalibrationError, match="without a camera matrix"):
+        read_calibration(path, SIZE)
 
 
 def test_other_archives_are_refused_with_their_content(tmp_path: Path) -> None:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import io
+import lzma
+import math
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import format as npy
 
 from vo.base.errors import CalibrationError
 from vo.base.files.bounded_files import read_bytes, read_text
@@ -137,18 +141,30 @@ def _read_archive(content: bytes) -> tuple[dict[str, Any], str]:
                 names.append(name)
                 if member.file_size <= _MAX_MEMBER_BYTES:
                     values |= _read_array(name, archive.read(member))
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError) as error:
+    except (
+        *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, EOFError),
+        *(ValueError, NotImplementedError, RuntimeError),
+    ) as error:
         return {}, f"is a damaged numpy archive: {error}"
     listed = ", ".join(names[:8]) or "nothing"
     return values, f"is a numpy archive without a camera matrix (mtx, K, cameraMatrix): {listed}"
 
 
 def _read_array(name: str, data: bytes) -> dict[str, Any]:
-    """The array of a member, if it is small and made of numbers or text."""
+    """The array of a member, if it is small and made of numbers or text.
+
+    Numpy reserves the memory that the header states, so that it is read first.
+    """
+    stream = io.BytesIO(data)
     try:
+        is_first = npy.read_magic(stream) == (1, 0)
+        read_header = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
+        shape, _, dtype = read_header(stream)
+        if not math.prod(shape) * dtype.itemsize <= len(data) - stream.tell():
+            return {}
+        if not 0 <= math.prod(shape) <= _MAX_VALUES or dtype.kind in "cMmVO":
+            return {}
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError):  # an object, or not an array
-        return {}
-    if not isinstance(array, np.ndarray) or array.size > _MAX_VALUES or array.dtype.kind in "cMmV":
+    except (ValueError, OSError, EOFError, OverflowError):  # an object, or not an array
         return {}
     return {name: array.tolist()}
