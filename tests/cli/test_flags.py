@@ -20,7 +20,7 @@ from vo.cli.run import run_command
 
 ROOT = Path(vo.__file__).resolve().parent
 _FLAG = re.compile(r"(?<![\w-])--[a-z][a-z-]+")
-_COMMAND = re.compile(r"`?\b(vo|ray|evo_rpe) [a-z]+[^`]*$")
+_COMMAND = re.compile(r"`?\b(vo|ray|evo_rpe) [a-z]+[^`]*$|`[a-z-]+ [^`]*$")
 
 
 def _messages(path: Path) -> Iterator[str]:

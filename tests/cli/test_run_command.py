@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -242,3 +243,23 @@ def test_output_on_a_full_disk_is_one_line_of_error(tmp_path: Path) -> None:
         1,
         "error: standard output: No space left on device\n",
     )
+
+
+def test_next_commands_can_be_run(synthetic_stereo: Path, out: Path) -> None:
+    """Each as printed: the second run is the same as the first, and is recorded."""
+    options = ("--mode", "mono", "--start", 2, "--end", 12, "--stride", 2, "--config", "fast")
+    more = ("--set", "features.count=700", "--no-loops", "--no-imu", "--ignore", "0,0,9,9")
+    result = vo_run(synthetic_stereo, out, *options, *more)
+    first = (out / "trajectory.tum").read_text()
+    commands = [
+        shlex.split(line.removeprefix("next: vo "))
+        for line in result.stdout.splitlines()
+        if line.startswith("next: ")
+    ]
+    assert [command[0] for command in commands] == ["eval", "report", "run"]
+    for command in commands[::-1]:
+        done = CliRunner().invoke(app, command)
+        assert done.exit_code == 0, done.output
+    assert (out / "trajectory.tum").read_text() == first
+    assert (out / "run.rrd").exists()
+    assert summary_in(out)["frames"] == 5

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import cv2
@@ -30,7 +31,7 @@ def test_a_mask_and_areas_are_in_the_summary_and_in_the_settings(
     assert summary_in(out)["hidden"] == [round(hidden, 4)]
     assert f"{hidden:.1%} of the images not used" in result.stdout
     (again,) = [line for line in result.stdout.splitlines() if line.startswith("next: vo run")]
-    assert f"--config {out / 'config.yaml'}" in again
+    assert f"--mask {shlex.quote(str(mask))} --ignore 0,0,96,4 --ignore 0,0,6,64" in again
     settings = yaml.safe_load((out / "config.yaml").read_text(encoding="utf-8"))
     assert settings["masks"] == {
         "files": [str(mask)],

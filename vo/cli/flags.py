@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, Field, fields
 from functools import cache
 from inspect import Parameter
 from typing import Any, get_args, get_origin
@@ -61,6 +62,24 @@ def known_flags() -> Mapping[str, Flag]:
         if (flag := _flag(parameter)) is not None
     }
     return own | {name: own[word] for name, word in _IN_PYTHON.items() if word in own}
+
+
+def given_words(*blocks: Any) -> list[str]:
+    """The options in blocks of the command that differ from their defaults, as words of it."""
+    return [word for owner in blocks for field in fields(owner) for word in _words(owner, field)]
+
+
+def _words(owner: Any, field: Field[Any]) -> list[str]:
+    value, flag = getattr(owner, field.name), known_flags().get(field.name)
+    default = field.default if field.default_factory is MISSING else field.default_factory()
+    if flag is None or value == default or value is None:
+        return []
+    if flag.is_switch:
+        return [flag.name if value else flag.negative]
+    if isinstance(value, tuple):
+        return [flag.name, *map(str, value)]
+    values = value if isinstance(value, list) else [value]
+    return [word for one in values for word in (flag.name, str(one))]
 
 
 def in_flags(value: Any) -> Any:

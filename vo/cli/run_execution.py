@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from vo.cli.echo import echo
-from vo.cli.flags import known_flags
+from vo.cli.flags import given_words, known_flags
 from vo.cli.garbage import collection_paused
 from vo.cli.run_options import Outputs
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
@@ -91,8 +91,11 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
     files = WrittenFiles.of(request.output, others)
     record = {"output": str(request.output), "files": [str(path) for path in files.paths]}
     console = errors if outputs.poses_on_standard_output else standard_output()
+    same = (request.reading, request.frames, request.masks, request.settings, request.scale)
+    options = given_words(*same)
     printing.show(
-        lambda: {**summary.to_dict(), **record}, lambda: print_summary(summary, files, console)
+        lambda: {**summary.to_dict(), **record},
+        lambda: print_summary(summary, files, console, options),
     )
     if printing.json_output or printing.quiet:
         for warning in summary.closing_warnings:

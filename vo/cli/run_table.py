@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -42,8 +43,16 @@ class WrittenFiles(NamedTuple):
         return [*(self.folder / name for name in self.names), *self.others.values()]
 
 
-def print_summary(summary: Summary, files: WrittenFiles, console: Console | None = None) -> None:
-    """Print the verdict on a run, figures, files, warnings, advice and next commands."""
+def print_summary(
+    summary: Summary,
+    files: WrittenFiles,
+    console: Console | None = None,
+    options: Sequence[str] = (),
+) -> None:
+    """Print the verdict on a run, figures, files, warnings, advice and next commands.
+
+    `options`: those of the run that another one needs to be the same, as words of the command.
+    """
     output, rrd = files.folder, files.others.get("recording")
     console = console or standard_output()
     colour, sentence = _COLOURS[summary.verdict.grade], verdict_sentence(summary)
@@ -52,7 +61,9 @@ def print_summary(summary: Summary, files: WrittenFiles, console: Console | None
         console.print(f"[bold]{name:<10}[/]", escape(value), soft_wrap=True)
     lines = [("[yellow]warning:[/]", warning) for warning in summary.closing_warnings]
     lines += [("[cyan]try:[/]", line) for line in advice(summary, is_recorded=rrd is not None)]
-    lines += [("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd)]
+    lines += [
+        ("[cyan]next:[/]", command) for command in _next_commands(summary, output, rrd, options)
+    ]
     for label, line in lines:
         console.print(label, escape(line), soft_wrap=True)
 
@@ -157,24 +168,18 @@ def _percent(part: int, whole: int) -> str:
     return f"{100.0 * part / whole:.1f} %" if whole else "-"
 
 
-def _next_commands(summary: Summary, output: Path, rrd: Path | None) -> list[str]:
-    commands = []
-    if summary.tracked and summary.facts.has_ground_truth:
-        commands.append(f"vo eval {_quoted(output)} {_quoted(summary.facts.source)}")
+def _next_commands(
+    summary: Summary, output: Path, rrd: Path | None, options: Sequence[str]
+) -> list[str]:
+    facts, commands = summary.facts, []
+    if summary.tracked and facts.has_ground_truth:
+        calibration = [] if facts.calibration is None else ["--calibration", facts.calibration]
+        commands.append(["vo", "eval", output, facts.source, *calibration])
     if summary.tracked:
-        commands.append(f"vo report {_quoted(output)}")
+        commands.append(["vo", "report", output])
     if rrd is not None:
-        commands.append(f"vo view {_quoted(rrd)}")
-    elif Path(summary.facts.source).exists():  # not after a run from a pipe
-        again = f"vo run {_quoted(summary.facts.source)} --output {_quoted(output)}"
-        if summary.facts.calibration is not None:
-            again += f" --calibration {_quoted(summary.facts.calibration)}"
-        again += "".join(f" --topic {_quoted(topic)}" for topic in summary.facts.topics)
-        if any(summary.hidden):  # the settings of the run have its masks
-            again += f" --config {_quoted(output / 'config.yaml')}"
-        commands.append(f"{again} --rrd {_quoted(output / 'run.rrd')}")
-    return commands
-
-
-def _quoted(path: Path | str) -> str:
-    return shlex.quote(str(path))
+        commands.append(["vo", "view", rrd])
+    elif Path(facts.source).exists() or glob.has_magic(facts.source):  # not after one from a pipe
+        again = ["vo", "run", facts.source, "--output", output, *options]
+        commands.append([*again, "--rrd", output / "run.rrd"])
+    return [shlex.join(map(str, command)) for command in commands]
