@@ -171,3 +171,107 @@ def test_an_antenna_beside_the_camera_does_not_bend_the_path(is_metric: bool) ->
     assert findings.scales[0].value == pytest.approx(UNIT_M, rel=1e-4)
     without = PositionSource(positions).measure(frames)
     assert without.scales[0].value > 1.02 * UNIT_M  # the antenna drives a larger circle
+
+
+def winding_m(seconds: Floats) -> Floats:
+    """A drive east, with bends, a hill and changing speed."""
+    along = 8.0 * seconds + 6.0 * np.sin(0.4 * seconds)
+    return np.column_stack(
+        [along, 25.0 * np.sin(0.03 * along), 6.0 * np.sin(0.05 * along + 1.0) + 0.02 * along]
+    )
+
+
+def winding_path(seconds: float = 20.0) -> PlacedFrames:
+    path = drive(seconds)
+    times = 1e-9 * (path.trajectory.stamps_ns - START_NS)
+    path.trajectory.world_from_cam[:, :3, 3] = winding_m(times) @ ROTATION / UNIT_M
+    return path
+
+
+def receiver(fault: str, noise_m: float, rate_hz: float, seed: int = 0) -> Positions:
+    """Positions of that drive as a receiver with a fault gives them."""
+    seconds = np.arange(0.0, 20.0, 1.0 / rate_hz)
+    noise = np.random.default_rng(seed).normal(0.0, noise_m, (len(seconds), 3))
+    xyz = winding_m(seconds) + noise
+    if fault.startswith("smooths"):
+        tau = float(fault.split()[1])
+        for row in range(1, len(xyz)):
+            xyz[row] = xyz[row - 1] - np.expm1(-1.0 / rate_hz / tau) * (xyz[row] - xyz[row - 1])
+    if fault == "mirrored":
+        xyz = xyz[:, [1, 0, 2]]
+    if fault == "stretched":
+        xyz = xyz * (1.52, 1.0, 1.0)
+    origin = np.array([49.0, 8.4, 110.0])
+    geodetic = geodetic_from_enu(xyz, origin)
+    if fault == "exchanged":
+        geodetic = geodetic[:, [1, 0, 2]]
+    if fault == "rounded":
+        geodetic[:, :2] = np.round(geodetic[:, :2], 4)
+    xyz, origin = enu_from_geodetic(geodetic, geodetic[0]), geodetic[0]
+    stamps_ns = START_NS + np.round(seconds * 1e9).astype(np.int64)
+    return Positions("gps.csv", "gps", stamps_ns, xyz, np.full(len(xyz), np.nan), origin)
+
+
+@pytest.mark.parametrize("noise_m", [0.02, 0.3, 3.0])
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_clean_positions_are_accepted(noise_m: float, rate_hz: float) -> None:
+    for seed in range(2):
+        findings = PositionSource(receiver("", noise_m, rate_hz, seed)).measure(winding_path())
+        (scale,) = findings.scales
+        assert abs(scale.value / UNIT_M - 1.0) < min(2.5 * scale.relative_sigma, 0.02)
+        assert not any("fit" in note or "exchanged" in note for note in findings.notes)
+
+
+@pytest.mark.parametrize("noise_m", [0.05, 0.5])
+@pytest.mark.parametrize("rate_hz", [2.0, 10.0])
+@pytest.mark.parametrize(
+    ("fault", "cause"),
+    [
+        ("smooths 1", "a receiver that smooths over about"),
+        ("smooths 2", "a receiver that smooths over about"),
+        ("smooths 3", "a receiver that smooths over about"),
+        ("mirrored", "two columns are exchanged, or an axis has the wrong sign"),
+        ("stretched", "another shape than the path, 1.5 times as long in one direction"),
+    ],
+)
+def test_positions_that_do_not_fit_the_path_are_refused(
+    fault: str, cause: str, noise_m: float, rate_hz: float
+) -> None:
+    findings = PositionSource(receiver(fault, noise_m, rate_hz)).measure(winding_path())
+    assert findings.scales == ()
+    (note,) = findings.notes
+    assert "the positions don't fit the path: they" in note and cause in note
+
+
+def test_exchanged_columns_are_found_and_put_right(tmp_path: Path) -> None:
+    for noise_m, rate_hz in ((0.02, 10.0), (1.0, 10.0), (0.3, 1.0)):
+        source = PositionSource(receiver("exchanged", noise_m, rate_hz))
+        findings = source.measure(winding_path())
+        (scale,) = findings.scales
+        assert abs(scale.value / UNIT_M - 1.0) < min(2.0 * scale.relative_sigma, 0.02)
+        assert "latitude and longitude are exchanged, which is corrected" in findings.notes[0]
+    path = winding_path()
+    path.trajectory.world_from_cam[:, :3, 3] *= UNIT_M
+    assert write_georeference(tmp_path, path, source) == []
+    (feature,) = json.loads((tmp_path / "path.geojson").read_text())["features"]
+    np.testing.assert_allclose(feature["geometry"]["coordinates"][0][:2], (8.4, 49.0), atol=1e-4)
+
+
+def test_rounded_positions_have_the_uncertainty_of_their_digits() -> None:
+    """Four decimals of a degree are 11 m; a drive of 160 m is 7 % uncertain by them."""
+    for seed in range(5):
+        (scale,) = (
+            PositionSource(receiver("rounded", 0.1, 10.0, seed)).measure(winding_path()).scales
+        )
+        assert abs(scale.value / UNIT_M - 1.0) < 2.0 * scale.relative_sigma
+        assert 0.02 < scale.relative_sigma < 0.1
+    findings = PositionSource(receiver("rounded", 0.1, 10.0)).measure(winding_path(5.0))
+    assert findings.scales == () and "rounded to 11 m" in findings.notes[-1]
+
+
+def test_exact_positions_in_regular_steps_are_not_rounded() -> None:
+    steps = np.column_stack([0.5 * np.arange(40), np.sin(np.arange(40)), np.zeros(40)])
+    stamps_ns = np.arange(40, dtype=np.int64)
+    assert Positions("a", "positions", stamps_ns, steps, np.full(40, np.nan)).resolution_m == 0.0
+    assert receiver("rounded", 0.1, 10.0).resolution_m == pytest.approx(11.1, abs=0.1)
+    assert receiver("", 0.1, 10.0).resolution_m < 0.01

@@ -30,6 +30,8 @@ _PARAMETERS = 7
 # Errors below these fractions of the extent are no outliers and no jumps, as the path has some too.
 _USUAL_ERROR = 0.001
 _MIN_JUMP = 0.003
+# Standard deviation of a length between two rounded positions, in units of their resolution.
+_ROUNDED = 6.0**-0.5
 # Relative standard deviation of the size of the path itself, whose slow drift noise may hide.
 _PATH_SIGMA = 0.003
 
@@ -46,6 +48,8 @@ class PositionFit(NamedTuple):
         jumps: number of jumps of the positions.
         noise_m: standard deviation of their errors along one axis.
         residuals: (N, 3) in metres.
+        extent_m: diagonal of the box around the path.
+        resolution_m: to which positions are rounded.
     """
 
     scale: float
@@ -56,6 +60,8 @@ class PositionFit(NamedTuple):
     jumps: int
     noise_m: float
     residuals: Floats
+    extent_m: float
+    resolution_m: float
 
 
 class _Solution(NamedTuple):
@@ -71,6 +77,7 @@ def fit_positions(
     sigma: Floats | None = None,
     *,
     with_scale: bool = True,
+    resolution_m: float = 0.0,
 ) -> PositionFit | None:
     """Fit a similarity, or a rigid motion.
 
@@ -81,12 +88,11 @@ def fit_positions(
         times_s: (N,) increasing.
         source: (N, 3) positions of the path.
         target: (N, 3) positions in metres.
-        sigma: (N,) standard deviations of the positions, as far as they are known relative to each
-            other; None if all are alike.
+        sigma: (N,) standard deviations of the positions, or relative ones; None if all are alike.
         with_scale: False for a path in metres.
+        resolution_m: to which positions are rounded.
 
-    Returns:
-        None for too few positions, or a path that does not move.
+    Returns None for too few positions, or a path that does not move.
     """
     if len(source) < MIN_POSITIONS or not _moves(source):
         return None
@@ -95,7 +101,8 @@ def fit_positions(
     solution = _best_sample(source, target, weight, with_scale=with_scale)
     if solution is None:
         return None
-    jumps = _find_jumps(target - _moved(solution, source, piece), solution.scale * _extent(source))
+    smallest = max(_MIN_JUMP * solution.scale * _extent(source), 2.0 * resolution_m)
+    jumps = _find_jumps(target - _moved(solution, source, piece), smallest)
     piece = np.searchsorted(jumps, np.arange(len(source)), side="right")
     long = np.bincount(piece)[piece] >= min(_MIN_PIECE, len(source))
     if not long.any():
@@ -108,18 +115,20 @@ def fit_positions(
     relative_sigma = _scale_sigma(
         times_s[used], centred[used], residuals[used], weight[used], piece[used]
     )
-    own_sigma = solution.scale * relative_sigma
-    scale_sigma = np.hypot(own_sigma, _PATH_SIGMA * solution.scale)
-    largest = int(np.bincount(piece[used]).argmax())
+    of_rounding = resolution_m * _ROUNDED / max(_extent(target[used]), 1e-300)
+    scale_sigma = solution.scale * float(np.linalg.norm((relative_sigma, of_rounding, _PATH_SIGMA)))
+    largest = np.bincount(piece[used]).argmax()
     return PositionFit(
         solution.scale,
-        float(scale_sigma),
+        scale_sigma,
         solution.rotation,
         solution.shifts[largest],
         used,
         len(np.unique(piece[used])) - 1,
         float(np.sqrt((residuals[used] ** 2).mean())),
         residuals,
+        solution.scale * _extent(source),
+        resolution_m,
     )
 
 
@@ -180,7 +189,7 @@ def _moved(solution: _Solution, source: Floats, piece: Ints) -> Floats:
     return np.asarray(moved + solution.shifts[np.minimum(piece, len(solution.shifts) - 1)])
 
 
-def _find_jumps(residuals: Floats, extent: float) -> Ints:
+def _find_jumps(residuals: Floats, smallest: float) -> Ints:
     """First positions after jumps: the residuals on both sides of them differ."""
     count = len(residuals)
     if count < 2 * _MIN_PIECE:
@@ -188,7 +197,7 @@ def _find_jumps(residuals: Floats, extent: float) -> Ints:
     steps = np.linalg.norm(np.diff(residuals, axis=0), axis=1)
     sigma = float(np.median(steps)) / _MEDIAN_OF_NORM
     jumps: list[int] = []
-    smallest = max(_JUMP * sigma, _MIN_JUMP * extent)
+    smallest = max(_JUMP * sigma, smallest)
     for row in np.argsort(-steps, kind="stable").tolist():
         if steps[row] <= smallest:
             break

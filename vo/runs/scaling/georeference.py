@@ -33,13 +33,12 @@ def write_georeference(folder: Path, path: PlacedFrames, source: PositionSource)
     Raises:
         OutputError: a file cannot be written.
     """
-    origin = source.positions.origin
-    assert origin is not None
     lines: list[tuple[int, Floats]] = []
     for placement in source.placements:
         rows = path.world == placement.segment
         enu = placement.place(path.trajectory.positions[rows])
-        lines.append((placement.segment, geodetic_from_enu(enu, origin)))
+        assert placement.origin is not None
+        lines.append((placement.segment, geodetic_from_enu(enu, placement.origin)))
     _write(folder / GEOJSON, _geojson(path, lines))
     _write(folder / KML, _kml(lines))
     missing = sorted(set(path.world.tolist()) - {segment for segment, _ in lines})

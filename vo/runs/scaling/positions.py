@@ -20,11 +20,15 @@ from vo.recordings.sources.logs.poses import poses_on_topic
 from vo.recordings.sources.logs.stamps import message_stamps
 from vo.recordings.sources.oxts import read_oxts_positions
 from vo.recordings.sources.registry import FORMATS, detect_format, open_container
-from vo.runs.scaling.geodesy import enu_from_geodetic
+from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
 
 _log = logging.getLogger(__name__)
 AUTO = "auto"
 _ODOMETRY = ("nav_msgs/msg/Odometry", "nav_msgs/Odometry")
+_METRES_PER_DEGREE = 111_320.0
+_DIGITS = 9  # of degrees: a tenth of a millimetre
+_MIN_GAPS = 3  # between rounded values
+_MULTIPLE = 0.01
 _KINDS = (PositionFixMessage, PoseMessage, PathMessage)
 
 
@@ -50,9 +54,30 @@ class Positions:
     origin: Floats | None = None
     is_time_of_day: bool = False
 
+    @property
+    def resolution_m(self) -> float:
+        """Metres to which horizontal positions are rounded, 0 if that does not show."""
+        metres = np.ones(2)
+        values = self.xyz[:, :2]
+        if self.origin is not None:
+            values = geodetic_from_enu(self.xyz, self.origin)[:, :2]
+            metres = _METRES_PER_DEGREE * np.array([1.0, np.cos(np.radians(self.origin[0]))])
+        return max(_step(column) * unit for column, unit in zip(values.T, metres, strict=True))
+
     def shifted(self, offset_ns: int) -> Positions:
         """The same at later times."""
         return replace(self, stamps_ns=self.stamps_ns + offset_ns)
+
+
+def _step(values: Floats) -> float:
+    """The step of which all differences are multiples, 0 if there is none."""
+    gaps = np.diff(np.unique(np.round(values, _DIGITS)))
+    if len(gaps) < _MIN_GAPS:
+        return 0.0
+    step = float(gaps.min())
+    is_multiple = np.abs(gaps / step - np.round(gaps / step)) < _MULTIPLE
+    is_regular = len(gaps) == len(values) - 1 and np.ptp(gaps) < _MULTIPLE * step
+    return step if is_multiple.all() and not is_regular else 0.0
 
 
 def read_positions(given: str, recording: str | None = None) -> Positions:
