@@ -12,12 +12,13 @@ from vo.base.errors import OutputError
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """Report an `OSError` of the block as an `OutputError` that names the file."""
+def writing(path: object, advice: str = "") -> Iterator[None]:
+    """Report an `OSError` of the block as an `OutputError`: what cannot be written, why, advice."""
     try:
         yield
     except OSError as error:
-        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
+        reason = f"{error.strerror or error}{advice and '; '}{advice}"
+        raise OutputError(f"{path} cannot be written: {reason}") from error
 
 
 @contextmanager

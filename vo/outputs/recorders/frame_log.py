@@ -19,6 +19,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import register_schema
 
 from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.base.geometry.rectification import rectified_projections
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Frame, Rig
@@ -170,11 +171,6 @@ def _new_file(path: Path) -> DurableFile:
         raise OutputError(f"`record` writes MCAP files: {path} needs a name that ends in .mcap")
     if path.exists():
         raise OutputError(f"{path} exists; give `record` another name, or remove it")
-    try:
+    with writing(f"recording {path}", "choose another `record`"):
         path.parent.mkdir(parents=True, exist_ok=True)
         return DurableFile(path)
-    except OSError as error:
-        raise OutputError(
-            f"recording {path} cannot be written: {error.strerror or error}; choose another "
-            "`record`"
-        ) from error

@@ -19,7 +19,7 @@ from mcap.well_known import MessageEncoding
 from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
-from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.base.types import (
     Estimate,
     FeatureState,
@@ -84,7 +84,7 @@ class McapRecorder:
         Raises:
             OutputError: the file cannot be written.
         """
-        try:
+        with writing(f"recording {self._path}", "choose another `mcap`"):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file = DurableFile(self._path)
             with self._cut_after_an_error():
@@ -92,11 +92,6 @@ class McapRecorder:
                 self._writer.start(library="vo")
                 self._writer.add_metadata("recording", {"name": name, "library": "vo"})
                 self._flush()
-        except OSError as error:
-            raise OutputError(
-                f"recording {self._path} cannot be written: {error.strerror or error}; "
-                "choose another `mcap`"
-            ) from error
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Write one frame.

@@ -6,7 +6,7 @@ import time
 from collections.abc import Container
 from pathlib import Path
 
-from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.base.types import Estimate, Rig, Trajectory
 from vo.outputs.recorders.map_spool import Model
 from vo.outputs.recorders.reconstruction import Reconstruction
@@ -81,15 +81,10 @@ class PlyRecorder(MapRecorder):
             OutputError: it cannot be written.
         """
         self._name = name
-        try:
+        with writing(f"points {self._path}", "choose another `ply`"):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             write_ply(self._path, 0, (), name)
             self._store.open(self._path.parent)
-        except OSError as error:
-            raise OutputError(
-                f"points {self._path} cannot be written: {error.strerror or error}; "
-                "choose another `ply`"
-            ) from error
 
     def _write(self, models: list[Model]) -> None:
         count = sum(model.point_count for model in models)

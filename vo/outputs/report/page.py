@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from vo.base.errors import OutputError
+from vo.base.files.complete_file import writing
 from vo.outputs.report import sections
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.markup import Markup, element, join
@@ -105,15 +106,10 @@ def write_page(path: Path, page: str) -> None:
     """
     if path.is_file() and not _is_page(path):
         raise OutputError(f"{path} is not a report and would be replaced; choose another file")
-    try:
+    with writing(f"report {path}", "choose another file"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(
-            page, encoding="utf-8", errors="replace"
-        )  # names may contain bytes that are not UTF-8
-    except OSError as error:
-        raise OutputError(
-            f"report {path} cannot be written: {error.strerror or error}; choose another file"
-        ) from error
+        # Names may contain bytes that are not UTF-8.
+        path.write_text(page, encoding="utf-8", errors="replace")
 
 
 def write_plots(folder: Path, plots: Sequence[Plot]) -> list[Path]:

@@ -206,16 +206,19 @@ def _thumbnail(thumbnail: Thumbnail) -> Markup:
 
 def frames_without_pose(entry: Entry) -> Markup:
     """Frames without a pose, and the reasons."""
-    ranges = entry.run.summary["without_pose"]
-    if not ranges:
-        return Markup()
     rows = [
         [_range(each["first"], each["last"]), str(each["frames"]), each["state"], each["reason"]]
-        for each in ranges
+        for each in entry.run.summary["without_pose"]
     ]
-    inside = table(["frames", "number", "state", "reason"], rows)
-    title = element("summary", f"Frames without a pose, {entry.name} ({len(rows)} ranges)")
-    return element("details", title, inside)
+    title = f"Frames without a pose, {entry.name} ({len(rows)} ranges)"
+    return _folded(title, ["frames", "number", "state", "reason"], rows)
+
+
+def _folded(title: str, heading: list[str], rows: list[list[str]]) -> Markup:
+    """A table that opens by a click; empty without rows."""
+    if not rows:
+        return Markup()
+    return element("details", element("summary", title), table(heading, rows))
 
 
 def _range(first: int, last: int) -> str:
@@ -232,38 +235,32 @@ def segments(entry: Entry) -> Markup:
         + [str(each["frames"]), number(each["path_m"])]
         for each in found
     ]
-    inside = table(["segment", "frames", "with a pose", f"path ({entry.run.unit})"], rows)
-    return element("details", element("summary", f"Segments, {entry.name}"), inside)
+    heading = ["segment", "frames", "with a pose", f"path ({entry.run.unit})"]
+    return _folded(f"Segments, {entry.name}", heading, rows)
 
 
 def loops(entry: Entry) -> Markup:
     """Places that were seen again, if there are any."""
-    found = entry.run.summary.get("loops", ())
-    if not found:
-        return Markup()
     rows = [
         [str(each["frame"]), str(each["earlier_frame"]), _kind(each), str(each["inliers"])]
         + [_moved(each["correction_m"]), _moved(each["correction_deg"])]
-        for each in found
+        for each in entry.run.summary.get("loops", ())
     ]
     heading = ["frame", "seen before in", "kind", "inliers"]
-    inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
-    return element("details", element("summary", f"Loops, {entry.name}"), inside)
+    heading += [f"moved by ({entry.run.unit})", "turned by (deg)"]
+    return _folded(f"Loops, {entry.name}", heading, rows)
 
 
 def relocalisations(entry: Entry) -> Markup:
     """Segments whose place in an older world was found, if there are any."""
-    found = entry.run.summary.get("relocalisations", ())
-    if not found:
-        return Markup()
     rows = [
         [str(each["frame"]), str(each["segment"]), str(each["earlier_frame"]), str(each["loops"])]
         + [str(each["inliers"]), _moved(each["correction_m"]), _moved(each["correction_deg"])]
-        for each in found
+        for each in entry.run.summary.get("relocalisations", ())
     ]
     heading = ["frame", "segment", "seen before in", "keyframes", "inliers"]
-    inside = table([*heading, f"moved by ({entry.run.unit})", "turned by (deg)"], rows)
-    return element("details", element("summary", f"Relocalisations, {entry.name}"), inside)
+    heading += [f"moved by ({entry.run.unit})", "turned by (deg)"]
+    return _folded(f"Relocalisations, {entry.name}", heading, rows)
 
 
 def _kind(loop: Mapping[str, Any]) -> str:
@@ -274,18 +271,14 @@ def _kind(loop: Mapping[str, Any]) -> str:
 
 def markers(entry: Entry) -> Markup:
     """Markers and where they are, if there are any."""
-    found = entry.run.markers
-    if not found:
-        return Markup()
     rows = [
         [str(each.id), str(each.segment), *(f"{value:.3f}" for value in each.position)]
         + [number(1000.0 * each.sigma_m), str(each.views)]
         + [_range(each.first_frame, each.last_frame), number(each.error)]
-        for each in found
+        for each in entry.run.markers
     ]
     heading = ["id", "segment", "x (m)", "y (m)", "z (m)", "sigma (mm)", "views", "frames"]
-    inside = table([*heading, "error (sigma)"], rows)
-    return element("details", element("summary", f"Markers, {entry.name}"), inside)
+    return _folded(f"Markers, {entry.name}", [*heading, "error (sigma)"], rows)
 
 
 def _moved(value: float | None) -> str:
@@ -319,8 +312,7 @@ def provenance(entries: Sequence[Entry]) -> Markup:
         ["seed", *(str(e.run.summary["seed"]) for e in entries)],
         *([key, *(str(e.run.summary["versions"].get(key, "–")) for e in entries)] for key in keys),
     ]
-    inside = table(["", *(entry.name for entry in entries)], rows)
-    return element("details", element("summary", "Recordings and versions"), inside)
+    return _folded("Recordings and versions", ["", *(entry.name for entry in entries)], rows)
 
 
 def _requested_frames(entry: Entry) -> str:
