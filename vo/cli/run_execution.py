@@ -144,6 +144,7 @@ def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: Ex
         viewer=viewer,
         exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
         poses=poses,
+        allow_origins=outputs.allow_origin or (),
         save_map=outputs.save_map,
         **options,
     )

@@ -236,6 +236,12 @@ class Outputs:
         default=None,
         metavar="-|ADDRESS",
     )
+    allow_origin: list[str] | None = option(
+        "A web page, such as https://example.org, that may read the poses of ws://, besides those "
+        "of this machine and of Foxglove; repeatable.",
+        default=None,
+        metavar="ORIGIN",
+    )
     profile: bool = option(
         "Print the time spent in each stage, and save it in summary.json.",
         "--profile",

@@ -62,6 +62,8 @@ class RunOptions:
         exports: files for other programs.
         save_map: file for the stored keyframes and where they are; not with `memory.loops=false`.
         poses: where to send each pose at once: `-`, `udp://HOST:PORT`, `ws://HOST:PORT`, or a sink.
+        allow_origins: web pages, such as `https://example.org`, that may read poses from `ws://`,
+            besides those of this machine and of Foxglove.
         components: parts of the odometry to use instead of the built-in ones.
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
@@ -92,6 +94,7 @@ class RunOptions:
     exports: Exports | None = None
     save_map: Path | None = None
     poses: Sequence[str | PoseSink] = ()
+    allow_origins: Sequence[str] = ()
     components: Components = BUILT_IN
     progress: Progress | None = None
     profile_since: float | None = None

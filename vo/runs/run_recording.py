@@ -84,7 +84,7 @@ def run(
     opened = replace(opened, warnings=tuple(warnings))
     with (
         _disconnected_at_end(stream),
-        opened_streams(options.poses) as poses,
+        opened_streams(options.poses, options.allow_origins) as poses,
         locked_folder(Path(output)),
     ):
         try:

@@ -136,6 +136,31 @@ def test_by_default_only_this_machine_can_connect() -> None:
             pass
 
 
+@pytest.mark.parametrize(
+    ("origin", "is_let_in"),
+    [
+        ("", True),
+        ("http://localhost:3000", True),
+        ("https://app.foxglove.dev", True),
+        ("https://evil.example", False),
+        ("http://localhost.evil.example", False),
+        ("null", False),
+        ("https://mine.example", True),
+    ],
+)
+def test_foreign_web_pages_are_refused(origin: str, is_let_in: bool) -> None:
+    server = FoxgloveServer("ws://:0", "127.0.0.1", 0, ["https://mine.example/"])
+    with closing(server), closing(socket.create_connection(("127.0.0.1", server.port))) as raw:
+        line = f"Origin: {origin}\r\n" if origin else ""
+        raw.sendall(
+            f"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n{line}Upgrade: websocket\r\n"
+            "Connection: Upgrade\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
+        )
+        raw.settimeout(TIMEOUT_S)
+        assert raw.recv(12) == (b"HTTP/1.1 101" if is_let_in else b"HTTP/1.1 403")
+
+
 def free_port() -> int:
     with closing(socket.socket()) as taken:
         taken.bind(("127.0.0.1", 0))

@@ -9,10 +9,14 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from contextlib import suppress
+from secrets import randbelow
+from typing import TYPE_CHECKING, Any
 
 from vo.base.errors import OutputError
 from vo.base.extras import require
+from vo.outputs.streaming.origin_gate import OriginGate
 from vo.outputs.streaming.sink import SCHEMA_FILE, PoseUpdate, ThinnedPath
 from vo.recordings.formats.foxglove import encode, schema
 from vo.recordings.formats.foxglove_scene import path_message, path_schema
@@ -26,8 +30,18 @@ _BACKLOG = 256  # messages that wait for a slow client, which then misses the ol
 _PATH_EVERY_S = 1.0
 _LAST_PATH_S = 0.5  # for the last path to leave
 _CLOSE_S = 1.0
+_OWN = "127.0.0.1"
 
 _log = logging.getLogger(__name__)
+
+
+def _start_server(foxglove: Any, context: Any) -> tuple[Any, str]:
+    """The server behind the gate and its address, one that web pages do not know."""
+    for host in (f"127.{randbelow(254) + 1}.{randbelow(256)}.{randbelow(254) + 1}", _OWN):
+        with suppress(RuntimeError, ValueError):  # not every system has all of 127.0.0.0/8
+            options = {"context": context, "message_backlog_size": _BACKLOG}
+            return foxglove.start_server(name="vo", host=host, port=0, **options), host
+    raise RuntimeError("the server of Foxglove does not start")
 
 
 class FoxgloveServer:
@@ -36,28 +50,28 @@ class FoxgloveServer:
     Messages are sent by threads of the package, so that no client can make the run wait.
 
     `host`: address of this machine to listen on. `port`: to listen on; 0 for any free one.
+    `allow_origins`: web pages that may connect, see `OriginGate`.
 
     Raises:
         MissingExtraError: the package is not installed.
         OutputError: the port is taken, or the host is not this machine.
     """
 
-    def __init__(self, name: str, host: str, port: int) -> None:
+    def __init__(self, name: str, host: str, port: int, allow_origins: Sequence[str] = ()) -> None:
         self.name = name
         foxglove = require("foxglove", "foxglove", "poses for Foxglove")
         self._context = foxglove.Context()
         try:
-            self._server = foxglove.start_server(
-                name="vo",
-                host=host,
-                port=port,
-                context=self._context,
-                message_backlog_size=_BACKLOG,
-            )
-        except (RuntimeError, ValueError) as error:
-            reason = str(error).removeprefix("FoxgloveError: ")
+            self._server, inner = _start_server(foxglove, self._context)
+            try:
+                self._gate = OriginGate(host, port, (inner, self._server.port), allow_origins)
+            except BaseException:
+                self._server.stop()
+                raise
+        except (RuntimeError, ValueError, OSError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
             raise OutputError(f"{name}: {reason}; choose another host or port") from error
-        self.port: int = self._server.port
+        self.port: int = self._gate.port
         self._tf = self._channel("/tf", schema(TransformsMessage))
         self._pose = self._channel("/pose", schema(PoseMessage))
         self._path = self._channel("/path", path_schema())
@@ -106,6 +120,7 @@ class FoxgloveServer:
         self._send_path()
         if self._path.has_sinks():
             time.sleep(_LAST_PATH_S)  # the package drops what is queued when it stops
+        self._gate.close()
         # The package would wait a minute for a client that does not read.
         stopping = threading.Thread(target=self._server.stop, daemon=True)
         stopping.start()

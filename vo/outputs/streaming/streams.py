@@ -19,11 +19,12 @@ _LOCAL_HOST = "127.0.0.1"
 _FOXGLOVE_PORT = 8765
 
 
-def open_address(address: str) -> PoseSink:
+def open_address(address: str, allow_origins: Sequence[str] = ()) -> PoseSink:
     """Open an output.
 
     `address`: `-` for standard output, `udp://HOST:PORT` to send datagrams, `ws://HOST:PORT` to
-    serve Foxglove, where the host is 127.0.0.1 and the port 8765 if they are left out.
+    serve Foxglove, where the host is 127.0.0.1 and the port 8765 if they are left out, to
+    `allow_origins` besides this machine and Foxglove.
 
     Raises:
         OutputError: it is not such an address, or cannot be used.
@@ -36,7 +37,7 @@ def open_address(address: str) -> PoseSink:
         from vo.outputs.streaming.foxglove_server import FoxgloveServer
 
         port = _FOXGLOVE_PORT if port is None else port
-        return FoxgloveServer(address, host or _LOCAL_HOST, port)
+        return FoxgloveServer(address, host or _LOCAL_HOST, port, allow_origins)
     if not host or not port:
         raise OutputError(f"{address}: host or port is missing; write udp://HOST:PORT")
     from vo.outputs.streaming.json_lines import UdpSender
@@ -123,7 +124,9 @@ class PoseStreams:
 
 
 @contextmanager
-def opened_streams(targets: Sequence[str | PoseSink]) -> Iterator[PoseStreams]:
+def opened_streams(
+    targets: Sequence[str | PoseSink], allow_origins: Sequence[str] = ()
+) -> Iterator[PoseStreams]:
     """Outputs to addresses (see `open_address`), or outputs of one's own; closed at the end.
 
     Raises:
@@ -135,7 +138,7 @@ def opened_streams(targets: Sequence[str | PoseSink]) -> Iterator[PoseStreams]:
             if target in targets[:number]:
                 name = target if isinstance(target, str) else target.name
                 raise OutputError(f"{name} is given twice for poses; leave one out")
-            sink = open_address(target) if isinstance(target, str) else target
+            sink = open_address(target, allow_origins) if isinstance(target, str) else target
             stack.callback(sink.close)
             sinks.append(sink)
         yield PoseStreams(sinks)
