@@ -15,7 +15,7 @@ import video_files
 
 from vo.base.errors import CalibrationError, SourceError
 from vo.recordings.formats.calibration import read_calibration
-from vo.recordings.formats.foreign_files import KINDS
+from vo.recordings.formats.foreign_files import KINDS, foreign_message
 from vo.recordings.sources.registry import FORMATS, open_source
 
 HEADS = {
@@ -33,6 +33,8 @@ HEADS = {
     "images.tar.gz": (b"\x1f\x8b\x08", "tar xf"),
     "log.bag.gz": (b"\x1f\x8b\x08", "gzip -dc"),
     "log.mcap.zst": (b"\x28\xb5\x2f\xfd", "-dc {file} | vo run - -o OUT"),
+    "walk.SRT": (b"", "`positions={file}`"),
+    "walk.kml": (b"", "gpsbabel -i kml"),
     "a.HEIC": (b"\0\0\0\x18ftypheic", "magick mogrify -format jpg"),
     "a.dng": (b"II*\0", "raw photograph"),
     "a.exr": (b"v/1\x01", "OpenEXR"),
@@ -61,6 +63,22 @@ def test_file_is_named(tmp_path: Path, name: str) -> None:
 def test_no_kind_has_the_suffix_of_a_recording() -> None:
     suffixes = {suffix for entry in FORMATS.values() for suffix in entry.suffixes}
     assert not suffixes & {suffix for kind in KINDS for suffix in kind.suffixes}
+
+
+@pytest.mark.parametrize("layout", layouts.WRITERS)
+def test_recordings_are_no_foreign_files(tmp_path: Path, layout: str) -> None:
+    path = tmp_path / layouts.PATHS.get(layout, layout)
+    layouts.WRITERS[layout](path)
+    if layout != "glob":
+        assert foreign_message(path) == ""
+    for file in path.rglob("*.db3"):
+        assert len(open_source(file)) == layouts.COUNT
+
+
+def test_images_whose_suffix_is_wrong(tmp_path: Path) -> None:
+    for number in range(3):
+        (tmp_path / f"{number}.jpg").write_bytes(b"\0\0\0\x18ftypheic" + b"\0" * 99)
+    assert "0.jpg is a HEIC image: convert such images with `magick" in _message(tmp_path)
 
 
 def test_folder_of_foreign_images(tmp_path: Path) -> None:

@@ -174,6 +174,7 @@ def test_gps_and_odometry_of_a_log(log: Path) -> None:
         ("a.csv", "time,x,y\n1,2,three\n", "a.csv:2"),
         ("b.csv", "time,x,y\n", "no line of data"),
         ("c.csv", "1,2,3\n", "columns are not a trajectory"),
+        ("c.kml", "<kml/>\n", "gpsbabel -i kml -f .*c.kml"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "without stamps"),
     ],
 )

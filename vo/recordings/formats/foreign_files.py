@@ -85,7 +85,6 @@ KINDS = (
         "an SQLite database",
         "of RTAB-Map: `rtabmap-export --images {file}`; a ROS bag ends in .db3",
         (".db",),
-        (b"SQLite format 3\0",),
     ),
     Kind("a flight log without images", _EXPORT, (".ulg", ".tlog"), (b"ULog\x01\x12\x35",)),
     Kind("a capture of a network", _EXPORT, (".pcap", ".pcapng")),
@@ -152,6 +151,16 @@ KINDS = (
     Kind("an MCAP file compressed by zstd", _PIPE.format("zstd"), (".mcap.zst",)),
     Kind("an MCAP file compressed by gzip", _PIPE.format("gzip"), (".mcap.gz",)),
     Kind("an MCAP file compressed by lz4", _PIPE.format("lz4"), (".mcap.lz4",)),
+    Kind(
+        "a table of positions",
+        "give it beside a recording by `positions={file}`",
+        (".srt", ".gpx", ".nmea"),
+    ),
+    Kind(
+        "a track that is not read",
+        "convert it with `gpsbabel -i {kind} -f {file} -o gpx -F {stem}.gpx`",
+        (".kml", ".tcx", ".fit"),
+    ),
     Kind(
         "a tar archive",
         "unpack it with `tar xf {file}` and give the folder in it",
@@ -225,6 +234,14 @@ def foreign_message(path: Path, *, by_name: bool = True) -> str:
     return "" if kind is None else f"{path} is {kind.what}: {_advice(kind.advice, path)}"
 
 
+def foreign_image_message(data: bytes, name: str) -> str:
+    """What an image file is that cannot be decoded, by its content; empty if it is not known."""
+    kind = _kind_of_head(data[:_HEAD_BYTES])
+    return (
+        "" if kind is None else f"image {name} is {kind.what}: {_advice(kind.advice, Path(name))}"
+    )
+
+
 def _kind(path: Path, by_name: bool) -> Kind | None:
     if by_name:
         named = _kind_of_name(path.name)
@@ -235,6 +252,10 @@ def _kind(path: Path, by_name: bool) -> Kind | None:
             head = file.read(_HEAD_BYTES)
     except OSError:
         return None
+    return _kind_of_head(head)
+
+
+def _kind_of_head(head: bytes) -> Kind | None:
     if head[257:262] == b"ustar":
         return next(kind for kind in KINDS if ".tar" in kind.suffixes)
     return next((kind for kind in KINDS if kind.heads and head.startswith(kind.heads)), None)
@@ -265,4 +286,5 @@ def _advice(text: str, path: Path) -> str:
         stem=shlex.quote(str(stem)),
         folder=shlex.quote(str(path.parent)),
         suffix=path.suffix,
+        kind={".tcx": "gtrnctr", ".fit": "garmin_fit"}.get(path.suffix.lower(), "kml"),
     )

@@ -23,6 +23,7 @@ from vo.base.files.bounded_files import read_bytes
 from vo.base.images import png
 from vo.base.images.image_decoding import is_complete, quiet_opencv
 from vo.base.images.image_header import MAX_PIXELS, stated_size
+from vo.recordings.formats.foreign_files import foreign_image_message
 
 Pixels = NDArray[np.unsignedinteger]
 """(H, W) grey or (H, W, 3) BGR; uint8 or uint16."""
@@ -141,7 +142,8 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     except cv2.error as error:
         raise SourceError(f"image {name} cannot be decoded: {error.err}") from error
     if image is None:
-        raise SourceError(f"image {name} cannot be decoded; it is damaged or not an image")
+        reason = f"image {name} cannot be decoded; it is damaged or not an image"
+        raise SourceError(foreign_image_message(data, name) or reason)
     if image.dtype not in (np.uint8, np.uint16):
         raise SourceError(f"image {name} has {image.dtype} pixels; 8 or 16 bits are supported")
     return cast("Pixels", image)

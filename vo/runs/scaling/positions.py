@@ -11,6 +11,7 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.types import Floats, Ints
+from vo.recordings.formats.foreign_files import foreign_message
 from vo.recordings.formats.messages import PathMessage, PoseMessage, PositionFixMessage
 from vo.recordings.formats.positions import PositionTable, is_nmea, read_nmea, read_position_csv
 from vo.recordings.formats.track_files import read_track
@@ -123,6 +124,16 @@ def _log_format(path: Path) -> str:
 
 
 def _from_text(path: Path) -> Positions:
+    try:
+        return _read_text(path)
+    except SourceError as error:
+        message = foreign_message(path)
+        if message and "`positions" not in message:
+            raise SourceError(message) from error
+        raise
+
+
+def _read_text(path: Path) -> Positions:
     if is_nmea(path):
         return _of_table(read_nmea(path), str(path))
     table = read_track(path) or read_position_csv(path)
