@@ -19,7 +19,7 @@ _MIN_KEYFRAMES = 4  # with ground
 _MIN_RATIO = 0.3  # of the keyframes
 _MAX_SPREAD = 0.2  # of the heights, relative to their median
 _SHARED = 5  # keyframes that share most landmarks count as one
-_SIGMA = 0.03  # of the height above real ground: slope, suspension, kerbs
+_SIGMA = 0.05  # of the height above real ground: crown and slope of a road, suspension, kerbs
 
 
 class _Seen(NamedTuple):
