@@ -87,7 +87,7 @@ def test_kitti_refuses_missing_frames(drops: tuple[tuple[int, ...], ...], tmp_pa
 
 
 def test_tum_refuses_a_pair_and_no_depth(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="use one camera .--mono., or choose format euroc"):
+    with pytest.raises(ConfigError, match="use one camera .`mono`., or choose format euroc"):
         write_layout("tum", tmp_path / "a", make_recording())
     with pytest.raises(ConfigError, match="has one camera with depth, but this is a pair"):
         check(Recipe(format="tum"), PAIR)

@@ -19,6 +19,7 @@ _ITERATIONS, _CAUCHY = 3, 3.0  # robust fit; scale in standard deviations of a p
 # wrong distortion; a zoom by 3 % within 1.5 s has 0.016 and 27.
 _MIN_CHANGE, _MIN_SIGNIFICANCE = 0.007, 8.0
 _SYSTEMATIC = 0.001
+_SETTLED = 0.002  # a wrong calibration has more from the first frame on, until it is corrected
 
 
 class FocalChangeDetector:
@@ -31,11 +32,13 @@ class FocalChangeDetector:
     def __init__(self, rig: RectifiedRig) -> None:
         self._rig = rig
         self._frames = 0
+        self._is_settled = False
         self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)
 
     def restart(self) -> None:
         """Begin anew, with another map."""
         self._recent.clear()
+        self._is_settled = False
 
     def update(self, xyz: Floats, tracked: TrackedFrame) -> tuple[Fault, ...]:
         """That the focal length has changed, if it has, from a frame and its landmarks (n, 3)."""
@@ -47,7 +50,10 @@ class FocalChangeDetector:
         change, sigma = np.array(self._recent).T
         weight = 1.0 / (sigma**2 + _SYSTEMATIC**2)
         mean = float(np.average(change, weights=weight))
-        if abs(mean) < max(_MIN_CHANGE, _MIN_SIGNIFICANCE * weight.sum() ** -0.5):
+        self._is_settled |= abs(mean) < _SETTLED
+        if not self._is_settled or abs(mean) < max(
+            _MIN_CHANGE, _MIN_SIGNIFICANCE * weight.sum() ** -0.5
+        ):
             return ()
         return (Fault(FaultKind.FOCAL_LENGTH_CHANGE, value=mean),)
 
