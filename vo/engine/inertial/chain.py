@@ -176,12 +176,13 @@ class InertialChain:
             self._begin, self._estimate = self._origin, placed.estimate
         return placed
 
-    def _judged(self) -> Placed | None:
+    def _judged(self, *, is_last: bool = True) -> Placed | None:
         """All states of the newest world, which is complete, after a test of their agreement."""
         try:
             placed = self.smoothed()
         except np.linalg.LinAlgError:
-            self.agreement = Agreement(NotYet.DISAGREEMENT.value)
+            if is_last:  # one of few states that a long gap ends may have no solution
+                self.agreement = Agreement(NotYet.DISAGREEMENT.value)
             return self.newest
         if placed is not None:
             states = placed.estimate.states
@@ -272,7 +273,7 @@ class InertialChain:
                     self._nodes[self._begin + estimate.states.number - 1].stamp_ns
                 )
                 self._estimate = estimate
-                self._judged()
+                self._judged(is_last=False)
                 self._estimate = self._prior = None
                 self.reason = NotYet.FEW_KEYFRAMES
                 return
