@@ -232,6 +232,9 @@ class RunSession:
         if status == "interrupted":
             self._save(self._save_map)
         self._save(self._finish_recording)
+        if status == "failed" and self._statistics.frames and not self._is_warned:
+            frames, path = len(self._statistics.frames), self._folder.path
+            _log.warning("the run failed after %d frames; what they gave is in %s", frames, path)
 
     def _end_progress(self) -> None:
         with suppress(OSError):  # the terminal was closed

@@ -96,7 +96,7 @@ def test_a_stream_that_ends_before_its_first_frame_is_an_error(
 
 
 def test_a_stream_that_fails_keeps_the_results_so_far(
-    synthetic_stereo: Path, tmp_path: Path
+    synthetic_stereo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     stream = camera(synthetic_stereo)
 
@@ -107,8 +107,9 @@ def test_a_stream_that_fails_keeps_the_results_so_far(
     with pytest.raises(SourceError, match="does not respond"):
         run(Camera(stream.rig, unplugged()), tmp_path, config=FAST)
     written = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
-    assert written["status"] == "failed"
+    assert (written["status"], written["trusted"]) == ("failed", False)
     assert written["error"].endswith("the camera does not respond")
+    assert caplog.messages[-1] == f"the run failed after 4 frames; what they gave is in {tmp_path}"
     assert written["tracked"] == 4
     assert len((tmp_path / "causal.tum").read_text(encoding="utf-8").splitlines()) == 4
 

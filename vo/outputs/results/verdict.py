@@ -40,8 +40,8 @@ def assess(facts: VerdictFacts) -> Verdict:
         return Verdict("bad", "no path", is_trusted=False)
     is_poor = (facts.median_inliers or 0.0) < MIN_INLIERS
     is_doubted = facts.has_open_fault or abs(facts.disparity_offset_px) >= _MAX_OFFSET_PX
-    is_trusted = not (is_doubted or is_poor)
-    doubt = "" if is_trusted else ", not to be trusted" if is_doubted else ", unreliable"
+    is_trusted = not (is_doubted or is_poor or facts.status == "failed")
+    doubt = ", not to be trusted" if is_doubted else ", unreliable" if is_poor else ""
     if facts.status != "finished":
         return Verdict("bad", facts.status + doubt, is_trusted)
     if is_doubted:
