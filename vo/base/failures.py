@@ -70,7 +70,7 @@ def describe(failure: Failure | None) -> str:
 
 
 class Gap(NamedTuple):
-    """A time without images of a live stream, because its connection was lost.
+    """A time without images of a live stream: its connection was lost, or it stalled.
 
     Attributes:
         first_ns: stamp of the last image before.

@@ -82,6 +82,17 @@ def test_what_came_before_the_run_is_not_counted() -> None:
     close(capture, device)
 
 
+def test_a_stall_is_a_gap(caplog: pytest.LogCaptureFixture) -> None:
+    device = FakeDevice()
+    capture = Capture("camera", connector(device))
+    stamps_ns = (0, 100_000_000, 200_000_000, 4_200_000_000, 4_300_000_000)
+    for stamp_ns in stamps_ns:
+        capture._put(CapturedImages(stamp_ns, (np.zeros((2, 2), np.uint8),)))
+    assert [tuple(gap)[:2] for gap in capture.gaps] == [(200_000_000, 4_200_000_000)]
+    assert caplog.messages == ["camera: images again, after 4.0 s without"]
+    close(capture, device)
+
+
 def test_a_lost_connection_is_made_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -14,6 +14,7 @@ from vo.recordings.sources.live.device import CapturedImages, Connect
 
 _MIN_WAIT_S, _MAX_WAIT_S = 0.25, 5.0  # between attempts to connect again
 _POLL_S = 0.05
+_STALL_NS, _STALL_RATIO = 2_000_000_000, 10  # without images; relative to the usual interval
 
 _log = logging.getLogger(__name__)
 
@@ -23,7 +24,7 @@ class Capture:
 
     Attributes:
         dropped: images so far that were replaced by newer ones before they were taken.
-        gaps: times without images because the connection was lost.
+        gaps: times without images: the connection was lost, or the device gave none.
         rig: calibration from the factory, as soon as images have come; None without one.
         has_stopped: whether `stop` was called.
     """
@@ -36,6 +37,7 @@ class Capture:
         self._connect = connect
         self._newest: CapturedImages | None = None
         self._last_ns: int | None = None  # stamp of the newest images that have come
+        self._usual_ns = 0  # between images
         self._lost: str | None = None  # why there is no connection
         self._error: BaseException | None = None  # that ended the thread
         self.has_stopped = False
@@ -101,9 +103,15 @@ class Capture:
             self.dropped += self._newest is not None
             self._newest = images
             lost, self._lost = self._lost, None
-            if lost is not None and self._last_ns is not None:
-                self.gaps.append(Gap(self._last_ns, images.stamp_ns, lost))
             since_ns, self._last_ns = self._last_ns, images.stamp_ns
+            if since_ns is not None:
+                taken_ns = images.stamp_ns - since_ns
+                if lost is None and taken_ns > max(_STALL_NS, _STALL_RATIO * self._usual_ns):
+                    lost = "no images came" if self._usual_ns else None
+                if lost is not None:
+                    self.gaps.append(Gap(since_ns, images.stamp_ns, lost))
+                else:
+                    self._usual_ns = taken_ns
             self._changed.notify()
         if lost is not None and since_ns is not None:
             missing_s = 1e-9 * (images.stamp_ns - since_ns)
