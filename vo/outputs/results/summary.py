@@ -215,14 +215,10 @@ def summarise(
 ) -> Summary:
     """Summary of a run that has finished or is still going on.
 
-    Args:
-        facts: what was known before the first frame.
-        status: how the run ended, or would have ended if it stopped now.
-        statistics: over the processed frames.
-        path: the frames that have a pose.
-        calibration: errors of the calibration that were found.
-        live: None for a recording.
-        **found: the other fields of the summary, by their names.
+    `facts`: what was known before the first frame. `status`: how the run ended, or would have ended
+    if it stopped now. `statistics`: over the processed frames. `path`: the frames that have a pose.
+    `calibration`: errors of the calibration that were found. `live`: None for a recording.
+    `**found`: the other fields of the summary, by their names.
     """
     skipped = tuple(found.pop("skipped", ()))
     ranges, count = ranges_without_pose(

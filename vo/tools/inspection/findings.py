@@ -65,8 +65,8 @@ def _timing_findings(camera: CameraReport) -> Iterator[Finding]:
         longest = max(timing.gaps, key=lambda gap: gap.seconds)
         yield Finding(
             "warning",
-            f"{camera.name}: {_counted(len(timing.gaps), 'gap')}, about "
-            f"{_counted(missing, 'image')} missing; the longest is "
+            f"{camera.name}: {counted(len(timing.gaps), 'gap')}, about "
+            f"{counted(missing, 'image')} missing; the longest is "
             f"{longest.seconds:.3g} s after frame {longest.after_frame} ({longest.at_s:.2f} s)",
             "tracking may be lost there; `start` and `end` exclude such a part",
         )
@@ -172,10 +172,6 @@ def _truth_findings(report: Report) -> Iterator[Finding]:
             f"the ground truth covers {100 * truth.covered:.0f} % of the images in time",
             "check whether both use the same clock",
         )
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}" + ("" if number == 1 else "s")
 
 
 def _frames(numbers: Sequence[int]) -> str:
