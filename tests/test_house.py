@@ -23,7 +23,8 @@ def double(x: int) -> int:
     return 2 * x  # behind code
 '''
 # It shrinks only. The goal is 25,000.
-MAX_ENGINE_LINES = 31_700
+MAX_ENGINE_LINES = 30_900
+MAX_WORDS = 45_000  # of the pages for users
 
 
 def test_each_line_is_counted_once(tmp_path: Path) -> None:
@@ -41,6 +42,12 @@ def test_wings_make_up_the_package() -> None:
     lines = sum(len(path.read_text(encoding="utf-8").splitlines()) for path in beside)
     assert sum(wings) + lines == found["vo"]["lines"]
     assert found["vo/engine"]["lines"] <= MAX_ENGINE_LINES
+
+
+def test_pages_for_users_stay_short() -> None:
+    pages = [path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")]
+    assert len(pages) > 20
+    assert sum(len(page.split()) for page in pages) <= MAX_WORDS
 
 
 @pytest.mark.parametrize("text", ["", "# only a comment\n", "\n\n"])

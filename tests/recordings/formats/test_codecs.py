@@ -251,7 +251,7 @@ def test_damaged_messages_raise_or_decode(
 def test_error_for_a_camera_that_was_never_calibrated() -> None:
     codec = find_codec("json", "foxglove.CameraCalibration", "", b"")
     assert codec is not None
-    with pytest.raises(CalibrationError, match="'cam0' is empty .* `calibration=FILE`"):
+    with pytest.raises(CalibrationError, match="'cam0' is empty.* `calibration=FILE`"):
         codec.decode(b'{"frame_id": "cam0", "width": 640, "height": 480}')
 
 
