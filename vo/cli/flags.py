@@ -16,6 +16,7 @@ from vo.cli.blocks import CommandFunction
 # Names in Python, and in the command line where they differ.
 _IN_PYTHON = {
     "topics": "topic",
+    "allow_hosts": "allow_host",
     "allow_origins": "allow_origin",
     "right_offset_ns": "right_offset",
     "timeout_s": "timeout",

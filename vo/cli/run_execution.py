@@ -136,6 +136,7 @@ def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: Ex
         follow=live.follow or is_piped,
         timeout_s=live.timeout,
         duration_s=live.duration,
+        allow_hosts=live.allow_host or (),
         record=live.record,
         source_name=NAME if is_piped else None,
         scale=request.scale.sources,

@@ -48,6 +48,12 @@ class Live:
         metavar="SECONDS",
         show_default="10",
     )
+    allow_host: list[str] | None = option(
+        "A host to which redirects and playlists of a live http:// stream may lead besides its "
+        "own; repeatable.",
+        default=None,
+        metavar="HOST",
+    )
     duration: float | None = option(
         "Live: end after this time.",
         default=None,

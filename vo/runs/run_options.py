@@ -62,6 +62,7 @@ class RunOptions:
         exports: files for other programs.
         save_map: file for the stored keyframes and where they are; not with `memory.loops=false`.
         poses: where to send each pose at once: `-`, `udp://HOST:PORT`, `ws://HOST:PORT`, or a sink.
+        allow_hosts: to which redirects and playlists of a live stream may lead besides its own.
         allow_origins: web pages, such as `https://example.org`, that may read poses from `ws://`,
             besides those of this machine and of Foxglove.
         components: parts of the odometry to use instead of the built-in ones.
@@ -86,6 +87,7 @@ class RunOptions:
     timeout_s: float | None = None
     duration_s: float | None = None
     record: Path | None = None
+    allow_hosts: Sequence[str] = ()
     source_name: str | None = None
     rrd: Path | None = None
     rrd_images: ImageChoice = "half"

@@ -216,6 +216,7 @@ def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> Fra
         options.side_by_side,
         DEFAULT_TIMEOUT_S if timeout_s is None else timeout_s,
         math.inf if duration_s is None else duration_s,
+        options.allow_hosts,
     )
     stream = open_live(address, options.calibration, options.mode, live)
     if options.record is not None:

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,11 +40,13 @@ class LiveOptions:
     Attributes:
         timeout_s: time without images after which it ends.
         duration_s: time after which it ends anyway.
+        allow_hosts: hosts to which redirects and playlists of HTTP may lead besides its own.
     """
 
     side_by_side: bool = False
     timeout_s: float = DEFAULT_TIMEOUT_S
     duration_s: float = math.inf
+    allow_hosts: Sequence[str] = ()
 
 
 def open_live(
@@ -108,7 +111,9 @@ def _connector(
     is_camera = address.kind is LiveKind.CAMERA
 
     def single(target: str) -> Connect:
-        return lambda: open_camera(target, size, clock) if is_camera else _stream(target, clock)
+        return lambda: (
+            open_camera(target, size, clock) if is_camera else _stream(target, clock, options)
+        )
 
     connects = [single(target) for target in address.targets]
     if options.side_by_side:
@@ -142,13 +147,13 @@ def _stereo_camera(address: LiveAddress, options: LiveOptions, clock: HostClock)
     return connect
 
 
-def _stream(url: str, clock: HostClock) -> Device:
+def _stream(url: str, clock: HostClock, options: LiveOptions) -> Device:
     """A network stream, through PyAV if it is installed."""
     if importlib.util.find_spec("av") is None:
         return open_opencv_stream(url, clock)
     from vo.recordings.sources.live.pyav_device import PyAvStream
 
-    return PyAvStream(url, clock)
+    return PyAvStream(url, clock, options.allow_hosts)
 
 
 def _first_images(name: str, capture: Capture, timeout_s: float) -> CapturedImages:

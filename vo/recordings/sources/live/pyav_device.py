@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import av
 from av.container import InputContainer
@@ -14,6 +14,7 @@ from vo.base.types import Rig
 from vo.recordings.sources.live.address import without_credentials
 from vo.recordings.sources.live.clock import CaptureStamps, HostClock
 from vo.recordings.sources.live.device import CapturedImages
+from vo.recordings.sources.live.http_stream import HttpFile, HttpHosts
 from vo.recordings.sources.video import frame_pixels
 
 _OPEN_TIMEOUT_S, _READ_TIMEOUT_S = 5.0, 5.0
@@ -35,10 +36,15 @@ logging.getLogger("libav").addHandler(logging.NullHandler())
 
 
 class PyAvStream:
-    """A `Device` for a network stream."""
+    """A `Device` for a network stream.
 
-    def __init__(self, url: str, clock: HostClock) -> None:
+    `allow_hosts`: to which HTTP may lead besides its own.
+    """
+
+    def __init__(self, url: str, clock: HostClock, allow_hosts: Sequence[str] = ()) -> None:
         self.rig: Rig | None = None
+        self._http: HttpFile | None = None
+        self._allow_hosts = allow_hosts
         self._name = without_credentials(url)
         self._clock = clock
         self._stamps = CaptureStamps()
@@ -81,10 +87,20 @@ class PyAvStream:
     def close(self) -> None:
         """See `Device.close`."""
         self._container.close()
+        if self._http is not None:
+            self._http.close()
 
     def _open(self, url: str) -> InputContainer:
+        timeouts = (_OPEN_TIMEOUT_S, _READ_TIMEOUT_S)
         try:
-            return av.open(url, options=_OPTIONS, timeout=(_OPEN_TIMEOUT_S, _READ_TIMEOUT_S))
+            if not url.lower().startswith("http"):
+                return av.open(url, options=_OPTIONS, timeout=timeouts)
+            hosts = HttpHosts(url, self._allow_hosts, _READ_TIMEOUT_S)
+            self._http = file = hosts.open(url)
+            options = {**_OPTIONS, "http_persistent": "0"}
+            return av.open(
+                file, "r", format=file.format, options=options, timeout=timeouts, io_open=hosts.open
+            )
         except (av.FFmpegError, OSError, ValueError) as error:
             raise SourceError(f"{self._name} cannot be opened: {_reason(error)}") from error
 
@@ -108,6 +124,6 @@ class PyAvStream:
 
 
 def _reason(error: Exception) -> str:
-    if isinstance(error, av.ExitError):
+    if isinstance(error, av.ExitError | TimeoutError):
         return f"no answer for {_READ_TIMEOUT_S:g} s"
     return without_credentials(getattr(error, "strerror", None) or str(error))
