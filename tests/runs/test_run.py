@@ -240,6 +240,24 @@ def test_a_killed_run_leaves_every_pose(synthetic_stereo: Path, tmp_path: Path) 
     assert lines[0] == lines[1][: len(lines[0])]
 
 
+def test_a_run_that_is_killed_while_it_closes_counts_the_frames_of_its_tables(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    code = (
+        "import os, sys; sys.path.insert(0, sys.argv[1])\n"
+        "from test_run import *\n"
+        "from vo.runs.run_session import RunSession\n"
+        "RunSession._save_map = lambda self: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "run(sys.argv[2], Path(sys.argv[3]), config=FAST, end=7)\n"
+    )
+    here = str(Path(__file__).parent)
+    done = subprocess.run([sys.executable, "-c", code, here, str(synthetic_stereo), str(tmp_path)])
+    assert done.returncode == -signal.SIGKILL
+    summary = summary_in(tmp_path)
+    assert (summary["status"], summary["frames"], summary["tracked"]) == ("interrupted", 7, 7)
+    assert len(read_tum(tmp_path / "trajectory.tum")) == 7
+
+
 def test_files_of_an_earlier_run_go_away(synthetic_stereo: Path, tmp_path: Path) -> None:
     for name in (*WHOLE, "causal.tum.partial", "mine.txt"):
         (tmp_path / name).write_text("stale", encoding="utf-8")

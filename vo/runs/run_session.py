@@ -201,6 +201,7 @@ class RunSession:
         with clock.stage("write"):
             self._apply_scale()
             self._finish_files()
+            self._summarise("interrupted")  # of the same frames as the tables, if it is killed now
             self._save_map()
             self._summarise("finished")  # the path is complete, whatever happens to recordings
         with clock.stage("record"):
