@@ -26,7 +26,7 @@ def _map(path: Path, *, is_metric: bool = True, metric_worlds: tuple[int, ...] =
             id=np.arange(n, n + 3),
             xyz=np.eye(3, dtype=np.float32),
             xy=np.zeros((3, 2), np.float32),
-            sigma=np.zeros(3, np.float32),
+            sigma=np.full(3, 0.01, np.float32),
             descriptor=np.zeros((3, 32), np.uint8),
             octave=np.zeros(3, np.int32),
             angle=np.zeros(3, np.float32),

@@ -7,6 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from vo.base.files.bounded_files import open_regular
 from vo.base.printable import counted
 
 _HEAD_BYTES = 512
@@ -248,7 +249,7 @@ def _kind(path: Path, by_name: bool) -> Kind | None:
         if named is not None:
             return named
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             head = file.read(_HEAD_BYTES)
     except OSError:
         return None

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 from vo.base.printable import counted
 from vo.base.types import Rig
@@ -26,7 +25,9 @@ _MIN_CORNERS = 150
 _MAX_OFFSET_MS = 3.0
 _MAX_LISTED = 8
 _MAX_RANGES = 6
-_REPORTED_HERE: frozenset[WarningKind] = frozenset(get_args(WarningKind))
+_REPORTED_HERE: frozenset[WarningKind] = frozenset(
+    {"repeated_stamps", "unpaired_images", "large_baseline"}
+)
 """Kinds of warnings of sources that are reported by findings of this module instead."""
 
 _SEVERITY: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
