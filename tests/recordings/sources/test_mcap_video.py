@@ -14,6 +14,7 @@ from av.video.codeccontext import VideoCodecContext
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from vo.base.errors import SourceError
 from vo.base.types import Bytes
@@ -22,6 +23,14 @@ from vo.recordings.sources.registry import open_source
 
 COUNT = 30
 WIDTH, HEIGHT = 128, 96
+PACKET = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+ROS_FIELDS = {
+    "sensor_msgs/msg/CompressedImage": "string format\nuint8[] data",
+    PACKET: (
+        "int32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+        "bool is_bigendian\nuint8[] data"
+    ),
+}
 STAMPS_NS = [1_600_000_000_000_000_000 + i * 33_333_333 for i in range(COUNT)]
 
 
@@ -61,6 +70,31 @@ def write(path: Path, messages: list[bytes], name: str) -> Path:
             message.timestamp.FromNanoseconds(stamp)
             writer.add_message(channel, stamp, message.SerializeToString(), stamp)
         writer.finish()
+    return with_calibration(path)
+
+
+def write_ros(path: Path, messages: list[bytes], names: list[str], kind: str) -> Path:
+    """As `write` in a message type of ROS 2, without a definition as before ROS 2 Iron."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    if kind not in store.types:
+        store.register(get_types_from_msg(f"std_msgs/Header header\n{ROS_FIELDS[kind]}", kind))
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema(kind, "ros2msg", b"")
+        channel = writer.register_channel("/camera/video", "cdr", schema)
+        for stamp, data, name in zip(STAMPS_NS, messages, names, strict=False):
+            time = store.types["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+            header = store.types["std_msgs/msg/Header"](time, "c")
+            array = np.frombuffer(data, dtype=np.uint8)
+            fields = (WIDTH, HEIGHT, name, 0, 0, False, array) if kind == PACKET else (name, array)
+            message = store.serialize_cdr(store.types[kind](header, *fields), kind)
+            writer.add_message(channel, stamp, bytes(message), stamp)
+        writer.finish()
+    return with_calibration(path)
+
+
+def with_calibration(path: Path) -> Path:
     text = layouts.CALIBRATION.replace("[64, 48]", f"[{WIDTH}, {HEIGHT}]")
     layouts.write_text(path.with_suffix(".yaml"), text)
     return path
@@ -118,6 +152,55 @@ def test_error_names_unsupported_codecs(tmp_path: Path) -> None:
     path = write(tmp_path / "log.mcap", [b"\x12\x00"] * COUNT, "av1")
     with pytest.raises(SourceError, match="none of 30 images can be read.*'av1'; h264 and h265"):
         open_source(path, calibration=path.with_suffix(".yaml"))
+
+
+@pytest.mark.parametrize("kind", ROS_FIELDS)
+@pytest.mark.parametrize(
+    ("encoder", "name"),
+    [
+        ("libx264", "h264"),
+        ("libx264", "avc"),
+        ("libx264", "libx264"),
+        ("libx265", "hevc"),
+        ("libx265", "H265"),
+        ("libx265", "hevc_nvenc;yuv420p;bgr8;bgr8"),
+    ],
+)
+def test_video_in_messages_of_ros(tmp_path: Path, kind: str, encoder: str, name: str) -> None:
+    path = write_ros(tmp_path / "log.mcap", list(packed(encoder)), [name] * COUNT, kind)
+    frames = list(open_source(path, calibration=path.with_suffix(".yaml")).frames())
+    assert [frame.stamp_ns for frame in frames] == STAMPS_NS
+    assert all(differs(frame.image0, frame.index) < 12 for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "expected"),
+    [
+        ("sensor_msgs/msg/CompressedImage", "nv12", r"not an image \(.*gives the format 'nv12'\)"),
+        ("sensor_msgs/msg/CompressedImage", "bgr8; jpeg compressed bgr8", "not an image$"),
+        (PACKET, "libsvtav1", "'libsvtav1'; h264 and h265"),
+    ],
+)
+def test_error_names_the_format_of_messages_of_ros(
+    tmp_path: Path, kind: str, name: str, expected: str
+) -> None:
+    pixels = bytes(picture(0)) * 3
+    path = write_ros(tmp_path / "log.mcap", [pixels] * COUNT, [name] * COUNT, kind)
+    with pytest.raises(SourceError, match=f"none of 30 images can be read.*{expected}"):
+        open_source(path, calibration=path.with_suffix(".yaml"))
+
+
+@pytest.mark.parametrize("is_video_first", [True, False])
+def test_images_and_video_in_one_topic_are_not_mixed(tmp_path: Path, is_video_first: bool) -> None:
+    video = list(packed("libx264"))
+    png = [cv2.imencode(".png", picture(i))[1].tobytes() for i in range(COUNT)]
+    first, second = (video, png) if is_video_first else (png, video)
+    names = ["h264" if is_video_first else "png"] * 20 + ["png" if is_video_first else "h264"] * 10
+    kind = "sensor_msgs/msg/CompressedImage"
+    path = write_ros(tmp_path / "log.mcap", first[:20] + second[20:], names, kind)
+    source = open_source(path, calibration=path.with_suffix(".yaml"))
+    assert [frame.index for frame in source.frames()] == list(range(20))
+    assert [each.index for each in source.skipped] == list(range(20, 30))
 
 
 @pytest.mark.parametrize(

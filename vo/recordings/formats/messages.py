@@ -8,6 +8,7 @@ measurement in nanoseconds.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -26,6 +27,7 @@ HEAD_BYTES = 256
 _PLUMB_BOB_COEFFICIENTS = 5
 _BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
 _MAX_DISTANCE_M = 1e12
+_DECODERS = {"h264": re.compile(r"[hx]\.?264|\bavc"), "hevc": re.compile(r"[hx]\.?265|hevc")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ class CompressedImageMessage:
 
 @dataclass(frozen=True, eq=False)
 class CompressedVideoMessage:
-    """One frame of a video: `codec` is `h264` or `h265`, `data` begins with a start code."""
+    """One frame of a video: `codec` see `video_decoder`, `data` begins with a start code."""
 
     stamp_ns: int
     frame: str
@@ -222,6 +224,12 @@ class Dialect:
     encode: Callable[[Message], bytes]
     channel_metadata: Callable[[str], dict[str, str]]
     metadata: Mapping[str, dict[str, str]]
+
+
+def video_decoder(codec: str) -> str:
+    """`h264` or `hevc` for names such as `avc`, `libx264` or `hevc_nvenc;yuv420p`; else nothing."""
+    name = codec.lower().partition(";")[0]
+    return next((key for key, names in _DECODERS.items() if names.search(name)), "")
 
 
 def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:

@@ -30,6 +30,7 @@ from vo.recordings.formats.messages import (
     TransformsMessage,
     rigid_transform,
     vector3,
+    video_decoder,
 )
 
 _NS_PER_S = 1_000_000_000
@@ -41,6 +42,10 @@ _OTHER_DEFINITIONS = {
     ),
     "foxglove_msgs/msg/CompressedVideo": (
         "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format"
+    ),
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (
+        "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\n"
+        "uint8 flags\nbool is_bigendian\nuint8[] data"
     ),
     "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms",
     "tf/msg/tfMessage": "geometry_msgs/TransformStamped[] transforms",
@@ -177,9 +182,15 @@ def _image(record: Any) -> ImageMessage:
     )
 
 
-def _compressed(record: Any) -> CompressedImageMessage:
+def _compressed(record: Any) -> CompressedImageMessage | CompressedVideoMessage:
     stamp_ns, frame = _stamp_ns(record.header.stamp), record.header.frame_id
-    return CompressedImageMessage(stamp_ns, frame, record.format, record.data.tobytes())
+    kind = CompressedVideoMessage if video_decoder(record.format) else CompressedImageMessage
+    return kind(stamp_ns, frame, record.format, record.data.tobytes())
+
+
+def _ffmpeg_packet(record: Any) -> CompressedVideoMessage:
+    stamp_ns, frame = _stamp_ns(record.header.stamp), record.header.frame_id
+    return CompressedVideoMessage(stamp_ns, frame, record.encoding, record.data.tobytes())
 
 
 def _foxglove(kind: Callable[..., ReadMessage], record: Any) -> ReadMessage:
@@ -265,6 +276,7 @@ def _position_fix(record: Any) -> PositionFixMessage:
 _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] = {
     "sensor_msgs/msg/Image": (ImageMessage, _image),
     "sensor_msgs/msg/CompressedImage": (CompressedImageMessage, _compressed),
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (CompressedVideoMessage, _ffmpeg_packet),
     "sensor_msgs/msg/CameraInfo": (CalibrationMessage, _calibration),
     "sensor_msgs/msg/Imu": (ImuMessage, _imu),
     "foxglove_msgs/msg/CompressedImage": (

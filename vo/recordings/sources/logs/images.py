@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -33,6 +34,8 @@ _log = logging.getLogger(__name__)
 
 _CHECKED_IMAGES = 3
 _MAX_COLOUR_DIFFERENCE = 0.4  # of that of the brightness
+_IMAGE_FORMAT = re.compile(r"jpe?g|jp2|j2k|png|tiff?|bmp|webp|avif|exr|p[bgnp]m", re.IGNORECASE)
+_MAX_SHOWN = 40  # characters
 _PNG = b"\x89PNG"
 _DEPTH_HEADER = 12
 """Bytes of the header of `compressed_depth_image_transport`, in front of the PNG."""
@@ -69,11 +72,18 @@ class MessageImage:
         except SourceError as error:
             what = "depth image" if self.is_depth else "image"
             raise SourceError(f"{what} {self.name}: {error}") from error
-        assert isinstance(message, CompressedImageMessage)
+        if not isinstance(message, CompressedImageMessage):
+            raise SourceError(f"image {self.name} is a frame of a video, not an image")
         data = message.data
         if self.is_depth and not data.startswith(_PNG) and data[_DEPTH_HEADER:].startswith(_PNG):
             data = data[_DEPTH_HEADER:]
-        return decode_image(data, self.name, colour and not self.is_depth)
+        try:
+            return decode_image(data, self.name, colour and not self.is_depth)
+        except SourceError as error:
+            stated = message.image_format[:_MAX_SHOWN]
+            if not stated.strip() or _IMAGE_FORMAT.search(stated):
+                raise
+            raise SourceError(f"{error} (its message gives the format {stated!r})") from error
 
 
 def list_images(
@@ -126,7 +136,7 @@ def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[
     `entries`: all messages of the topic in the order of the log, as video frames depend on earlier
     ones; may grow.
     """
-    if not issubclass(topic.codec.kind, CompressedVideoMessage):
+    if not _has_video(log, topic, entries):
         order = _order_of_yuv(log, topic, entries)
         return lambda number: MessageImage(log, topic, entries[number], pixel_format=order)
     require("av", extra="video", what="video messages")
@@ -134,6 +144,19 @@ def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[
 
     video = LogVideo(log, topic, entries)
     return lambda number: VideoImage(video, number, entries[number])
+
+
+def _has_video(log: Log, topic: Topic, entries: Sequence[Entry]) -> bool:
+    """Whether the type of the messages or, of compressed images, the first message says so."""
+    if topic.codec.kind is not CompressedImageMessage:
+        return issubclass(topic.codec.kind, CompressedVideoMessage)
+    for entry in entries[:_CHECKED_IMAGES]:
+        try:
+            message = topic.codec.decode(log.read(entry))
+        except SourceError:
+            continue
+        return isinstance(message, CompressedVideoMessage)
+    return False
 
 
 def _order_of_yuv(log: Log, topic: Topic, entries: Sequence[Entry]) -> str:

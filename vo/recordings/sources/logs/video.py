@@ -15,11 +15,10 @@ from av.video.frame import VideoFrame
 from vo.base.errors import SourceError
 from vo.base.images.image_header import MAX_PIXELS
 from vo.base.types import Bytes
-from vo.recordings.formats.messages import CompressedVideoMessage
+from vo.recordings.formats.messages import CompressedVideoMessage, video_decoder
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 from vo.recordings.sources.video import frame_pixels
 
-_CODECS = {"h264": "h264", "avc": "h264", "h265": "hevc", "hevc": "hevc"}
 _START = re.compile(rb"\x00\x00\x01")
 _MAX_KEYFRAME_DISTANCE = 600
 """Messages searched backwards for a key frame; 20 s at 30 Hz."""
@@ -102,7 +101,8 @@ class LogVideo:
 
     def _message(self, number: int) -> CompressedVideoMessage:
         message = self.topic.codec.decode(self.log.read(self._entries[number]))
-        assert isinstance(message, CompressedVideoMessage)
+        if not isinstance(message, CompressedVideoMessage):
+            raise SourceError("an image among frames of a video")
         return message
 
 
@@ -148,7 +148,7 @@ def is_keyframe(data: bytes, codec: str) -> bool:
 
 def _name(codec: str) -> str:
     """Name of the decoder."""
-    name = codec.strip().lower()
-    if name not in _CODECS:
+    name = video_decoder(codec)
+    if not name:
         raise SourceError(f"unknown video codec '{codec}'; h264 and h265 are supported")
-    return _CODECS[name]
+    return name
