@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from vo.base.printable import printable
-from vo.cli.console import SafeConsole
+from vo.cli.console import SafeConsole, standard_error, standard_output
 
 VO = Path(sys.executable).with_name("vo")
 _ATTACK = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e\x7f"
@@ -144,3 +144,9 @@ def test_everything_is_printed_in_one_place(folder: Path) -> None:
     for file in sorted((root / folder).rglob("*.py")):
         if file.name not in ("echo.py", "console.py"):
             assert not direct.search(file.read_text("utf-8")), file
+
+
+def test_names_between_colons_stay(capsys: pytest.CaptureFixture[str]) -> None:
+    for console in (standard_output(), standard_error()):
+        console.print("`ffmpeg -map 0:v:0`, /tf:map:base_link")
+    assert "".join(capsys.readouterr()) == "`ffmpeg -map 0:v:0`, /tf:map:base_link\n" * 2

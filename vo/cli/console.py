@@ -34,13 +34,13 @@ class SafeConsole(Console):
 
 def standard_output(*, quiet: bool = False) -> Console:
     """A console on standard output."""
-    return SafeConsole(highlight=False, quiet=quiet)
+    return SafeConsole(highlight=False, emoji=False, quiet=quiet)
 
 
 def standard_error(*, quiet: bool = False) -> Console:
     """A console on standard error; output to a closed pipe or a full disk is discarded."""
     file = None if sys.stderr is None else cast("IO[str]", _FailSafeFile(sys.stderr))
-    return SafeConsole(file=file, stderr=True, highlight=False, quiet=quiet)
+    return SafeConsole(file=file, stderr=True, highlight=False, emoji=False, quiet=quiet)
 
 
 def print_table(console: Console, table: Table) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import bisect
 import logging
-from collections.abc import Iterator
+import re
+import shlex
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -13,13 +15,15 @@ from typing import NamedTuple
 import av
 import numpy as np
 from av.container import InputContainer
+from av.stream import Disposition
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
 
 from vo.base.errors import SourceError
 from vo.base.images.image_header import MAX_PIXELS
-from vo.base.types import Bytes
+from vo.recordings.sources.images import Pixels
 
+_NOT_A_VIEW = re.compile(r"depth|disparity|mask|confidence", re.IGNORECASE)
 _THREADS = 2
 _log = logging.getLogger(__name__)
 # Without playlists (HLS, DASH, ffconcat), which name other files.
@@ -38,7 +42,7 @@ class PyavDecoder:
         self._position: int | None = None  # ticks of the last decoded frame
         self._last_frame: VideoFrame | None = None
 
-    def read(self, index: int, colour: bool = False) -> Bytes:
+    def read(self, index: int, colour: bool = False) -> Pixels:
         """See `VideoDecoder.read`."""
         target = self._index.ticks[index]
         try:
@@ -57,7 +61,7 @@ class PyavDecoder:
             raise SourceError(f"frame {index} of {self.path} is damaged")
         # Phones store upright images rotated, with the angle in the metadata.
         upright = np.rot90(frame_pixels(frame, colour), round(frame.rotation / 90))
-        return np.ascontiguousarray(upright, dtype=np.uint8)
+        return np.ascontiguousarray(upright)
 
     def close(self) -> None:
         """See `VideoDecoder.close`."""
@@ -83,10 +87,15 @@ class PyavDecoder:
         self._frames = self._index.decoded(self._container, stream)
 
 
-def frame_pixels(frame: VideoFrame, colour: bool) -> Bytes:
-    """A decoded frame as (H, W) grey, or as (H, W, 3) BGR with `colour` if it has colour."""
-    is_grey = not colour or frame.format.name.startswith("gray")
-    return np.ascontiguousarray(frame.to_ndarray(format="gray" if is_grey else "bgr24"))
+def frame_pixels(frame: VideoFrame, colour: bool) -> Pixels:
+    """A decoded frame as (H, W) grey, or as (H, W, 3) BGR with `colour` if it has colour.
+
+    Grey of more than 8 bits is uint16.
+    """
+    name = "bgr24" if colour else "gray"
+    if frame.format.name.startswith("gray"):
+        name = "gray16le" if _grey_bits(frame.format.name) > 8 else "gray"
+    return np.ascontiguousarray(frame.to_ndarray(format=name))
 
 
 class VideoIndex(NamedTuple):
@@ -199,6 +208,7 @@ def read_index(path: Path) -> VideoIndex:
     try:
         with open_video(path) as container:
             stream = video_stream(path, container)
+            _warn_of_tracks(path, container.streams.video, stream)
             unit = stream.time_base
             codec = stream.codec_context
             may_reorder = bool(codec.has_b_frames)
@@ -275,10 +285,57 @@ def _nanoseconds(ticks: int, numerator: int, denominator: int) -> int:
 
 
 def video_stream(path: Path, container: InputContainer) -> VideoStream:
-    """The first video stream."""
+    """The chosen track (see `choose_track`)."""
     if not container.streams.video:
         raise SourceError(f"{path} has no video stream")
-    stream = container.streams.video[0]
+    stream = choose_track(container.streams.video)
     if stream.codec_context is None:
         raise SourceError(f"{path} is compressed by an unknown codec")
     return stream
+
+
+def choose_track(tracks: Sequence[VideoStream]) -> VideoStream:
+    """The first track in colour, else in grey of 8 bits, else of 16; depth and covers come last."""
+    return min(tracks, key=_track_order)
+
+
+def _track_order(track: VideoStream) -> tuple[bool, bool, int]:
+    is_depth = bool(_NOT_A_VIEW.search(track.metadata.get("title", "")))
+    return _is_cover(track), is_depth, _grey_bits(_pixel_format(track))
+
+
+def _is_cover(track: VideoStream) -> bool:
+    return bool(track.disposition & Disposition.attached_pic)
+
+
+def _pixel_format(track: VideoStream) -> str:
+    return (track.codec_context and track.codec_context.pix_fmt) or "unknown"
+
+
+def _grey_bits(pixel_format: str) -> int:
+    """Bits of a grey pixel; 0 for colour."""
+    if not pixel_format.startswith("gray"):
+        return 0
+    return int("".join(filter(str.isdigit, pixel_format)) or 8)
+
+
+def _warn_of_tracks(path: Path, tracks: Sequence[VideoStream], used: VideoStream) -> None:
+    """Warn of several tracks, and say how to use another one."""
+    others = [i for i, track in enumerate(tracks) if track is not used and not _is_cover(track)]
+    if not others:
+        return
+    listed = [
+        f"{i} ({', '.join(filter(None, [track.metadata.get('title'), _pixel_format(track)]))})"
+        for i, track in enumerate(tracks)
+    ]
+    copied = path.with_name(f"{path.stem}-{others[0]}.mkv")
+    _log.warning(
+        "%s has %d video tracks: %s; track %d is used; for another one, `%s` copies it to a file",
+        path,
+        len(tracks),
+        ", ".join(listed),
+        list(tracks).index(used),
+        shlex.join(
+            ["ffmpeg", "-i", str(path), "-map", f"0:v:{others[0]}", "-c", "copy", str(copied)]
+        ),
+    )

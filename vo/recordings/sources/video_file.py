@@ -10,8 +10,9 @@ from typing import Protocol
 
 from vo.base.errors import MissingExtraError
 from vo.base.extras import require
-from vo.base.types import Bytes, Mode
+from vo.base.types import Mode
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader
+from vo.recordings.sources.images import Pixels
 from vo.recordings.sources.listing import Shot
 
 _log = logging.getLogger(__name__)
@@ -30,8 +31,10 @@ class VideoDecoder(Protocol):
         """Times of all frames in nanoseconds, increasing."""
         ...
 
-    def read(self, index: int, colour: bool = False) -> Bytes:
+    def read(self, index: int, colour: bool = False) -> Pixels:
         """Read a frame as (H, W) grey, or as (H, W, 3) BGR with `colour` if it has colour.
+
+        Grey of more than 8 bits is uint16.
 
         Raises:
             SourceError: it cannot be decoded.
@@ -44,7 +47,7 @@ class VideoDecoder(Protocol):
 
 
 def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
-    """List the frames of the first video stream."""
+    """List the frames of a video."""
     decoder = open_decoder(path)
     shots = [
         Shot(stamp, _StoredFrame(decoder, i), f"frame {i} of {path}")
@@ -87,5 +90,5 @@ class _StoredFrame:
     def name(self) -> str:
         return f"{self.index} of {self.decoder.path}"
 
-    def read(self, colour: bool = False) -> Bytes:
+    def read(self, colour: bool = False) -> Pixels:
         return self.decoder.read(self.index, colour)

@@ -6,8 +6,10 @@ import logging
 from collections.abc import Iterator, Sequence
 
 import av
+import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
+from av.video.stream import VideoStream
 
 from vo.base.errors import SourceError
 from vo.base.types import Rig
@@ -15,7 +17,7 @@ from vo.recordings.sources.live.address import without_credentials
 from vo.recordings.sources.live.clock import CaptureStamps, HostClock
 from vo.recordings.sources.live.device import CapturedImages
 from vo.recordings.sources.live.http_stream import HttpFile, HttpHosts
-from vo.recordings.sources.video import frame_pixels
+from vo.recordings.sources.video import choose_track
 
 _OPEN_TIMEOUT_S, _READ_TIMEOUT_S = 5.0, 5.0
 # Over TCP, because lost packets of UDP damage images; without buffers, which would delay them.
@@ -70,7 +72,7 @@ class PyAvStream:
             own_ns = int(frame.pts * frame.time_base * 1_000_000_000)
         stamp_ns = self._stamps.stamp(arrival_ns, own_ns)
         self._warn_of_lag()
-        return CapturedImages(stamp_ns, (frame_pixels(frame, colour=False),))
+        return CapturedImages(stamp_ns, (np.ascontiguousarray(frame.to_ndarray(format="gray")),))
 
     def _warn_of_lag(self) -> None:
         lag_ns = self._stamps.lag_ns
@@ -110,13 +112,13 @@ class PyAvStream:
             raise SourceError(f"{self._name} has no video")
         if url.lower().startswith("http") and (self._container.duration or 0) > 0:
             raise SourceError(f"{self._name} is a file: download it, and run on the file")
-        stream = self._container.streams.video[0]
+        stream = choose_track(self._container.streams.video)
         stream.thread_type = "SLICE"  # threads that work on several frames delay them
         self._has_times = self._container.format.name not in _INVENTED_TIMES
-        return (frame for frame in self._decoded() if not frame.is_corrupt)
+        return (frame for frame in self._decoded(stream) if not frame.is_corrupt)
 
-    def _decoded(self) -> Iterator[VideoFrame]:
-        for packet in self._container.demux(self._container.streams.video[0]):
+    def _decoded(self, stream: VideoStream) -> Iterator[VideoFrame]:
+        for packet in self._container.demux(stream):
             try:
                 yield from packet.decode()
             except av.InvalidDataError:  # until the first key frame, and after lost packets

@@ -14,8 +14,8 @@ from av.video.frame import VideoFrame
 
 from vo.base.errors import SourceError
 from vo.base.images.image_header import MAX_PIXELS
-from vo.base.types import Bytes
 from vo.recordings.formats.messages import CompressedVideoMessage, video_decoder
+from vo.recordings.sources.images import Pixels
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 from vo.recordings.sources.video import frame_pixels
 
@@ -43,7 +43,7 @@ class LogVideo:
         self._next_output = 0  # number of the frame after the last one that was read
         self._decoded: dict[int, VideoFrame] = {}
 
-    def read(self, number: int, colour: bool = False) -> Bytes:
+    def read(self, number: int, colour: bool = False) -> Pixels:
         """Read a frame as (H, W) grey, or as (H, W, 3) with `colour` if it has colour."""
         with self._lock:
             try:
@@ -120,7 +120,7 @@ class VideoImage:
         video = self.video
         return f"{video.log.path}: {video.topic.name} logged at {self.entry.log_ns} ns"
 
-    def read(self, colour: bool = False) -> Bytes:
+    def read(self, colour: bool = False) -> Pixels:
         """See `StoredImage.read`."""
         try:
             return self.video.read(self.number, colour)
