@@ -11,7 +11,7 @@ import pytest
 
 from vo.base.errors import SourceError
 from vo.base.geometry.transforms import se3_exp
-from vo.recordings.sources.oxts import mercator, rotation_from_roll_pitch_yaw, stamp_ns_from_date
+from vo.recordings.sources.oxts import mercator, read_date_stamps, rotation_from_roll_pitch_yaw
 from vo.recordings.sources.registry import open_source
 
 
@@ -22,11 +22,27 @@ def drive(tmp_path: Path) -> Path:
     return path
 
 
-def test_stamps_are_exact() -> None:
-    assert stamp_ns_from_date("2011-09-26 13:02:25.964389445") == 1317042145964389445
-    assert stamp_ns_from_date("1970-01-01 00:00:01.5") == 1_500_000_000
-    with pytest.raises(ValueError, match="is not of the form"):
-        stamp_ns_from_date("26.9.2011 13:02")
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [
+        (["2011-09-26 13:02:25.964389445"], [1317042145964389445]),
+        (["1970-01-01 00:00:01.5"], [1_500_000_000]),
+        (  # without leading zeros: .009658 is written as .9658000
+            [f"2011-09-26 13:02:25.{ns}" for ns in (9658000, 109658000, 209658000)],
+            [1317042145_009658000 + i * 10**8 for i in range(3)],
+        ),
+    ],
+)
+def test_stamps_are_exact(tmp_path: Path, texts: list[str], expected: list[int]) -> None:
+    (tmp_path / "a.txt").write_text("\n".join(texts))
+    assert read_date_stamps(tmp_path / "a.txt") == expected
+
+
+@pytest.mark.parametrize("text", ["26.9.2011 13:02", "2011-19-26 13:02:25.9"])
+def test_other_dates_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.txt").write_text(text)
+    with pytest.raises(SourceError, match=r"a\.txt:1: stamp '.*' is not a number .* or a date"):
+        read_date_stamps(tmp_path / "a.txt")
 
 
 def test_calibration_of_the_date_is_found(drive: Path) -> None:
@@ -132,7 +148,7 @@ def test_error_for_inconsistent_stamps(drive: Path) -> None:
     with pytest.raises(SourceError, match="6 images but 1 stamps"):
         open_source(drive)
     layouts.write_text(drive / "image_00/timestamps.txt", "noon\n" * 6)
-    with pytest.raises(SourceError, match="timestamps.txt:1: stamp 'noon' is not of the form"):
+    with pytest.raises(SourceError, match="timestamps.txt:1: stamp 'noon' is not a number"):
         open_source(drive)
 
 

@@ -6,11 +6,14 @@ import re
 import shlex
 from pathlib import Path
 
+import cv2
 import layouts
 import numpy as np
 import pytest
 
 from vo.base.errors import CalibrationError, SourceError
+from vo.base.types import Bytes
+from vo.recordings.sources.listing import list_images
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.series import find_cameras
 
@@ -144,3 +147,52 @@ def test_masks_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) ->
     write(tmp_path, "frame_{} frame_{}_mask", COUNTERS)
     assert len(open_source(tmp_path)) == COUNT
     assert "frame_0000_mask.png and 5 more: not used" in caplog.text
+
+
+def views(right: bool, count: int) -> list[Bytes]:
+    """Images of a wall along which two cameras climb, 60 pixels beside each other."""
+    texture = np.random.default_rng(0).integers(0, 256, (280, 100), dtype=np.uint8)
+    wall = cv2.resize(texture, (400, 1120)).astype(np.uint8)
+    side = 60 if right else 0
+    return [wall[70 * i : 70 * i + 240, side : side + 320] for i in range(count)]
+
+
+NUMBERED = ["0_{} 1_{}", "{}_0 {}_1", "1_{} 2_{}", "frame{}-0 frame{}-1", "im0_{} im1_{}"]
+
+
+@pytest.mark.parametrize("names", NUMBERED)
+def test_pairs_by_content(tmp_path: Path, names: str) -> None:
+    for name, right in zip(names.split(), (False, True), strict=True):
+        for key, image in zip(COUNTERS, views(right, COUNT), strict=True):
+            layouts.write_image(tmp_path / f"{name.format(key)}.png", image)
+    found = find_cameras(list_images(tmp_path))
+    left, right_name = names.split()
+    assert [path.stem for path in found.left.images] == [left.format(key) for key in COUNTERS]
+    assert found.right is not None
+    assert [p.stem for p in found.right.images] == [right_name.format(key) for key in COUNTERS]
+
+
+def test_one_camera_counted_in_parts_stays_one(tmp_path: Path) -> None:
+    for i, image in enumerate(views(False, 12)):
+        layouts.write_image(tmp_path / f"part_{i // 6}_{i % 6}.png", image)
+    assert len(find_cameras(list_images(tmp_path)).left.images) == 12
+
+
+def test_times_say_that_images_are_of_one_camera(tmp_path: Path) -> None:
+    for i, image in enumerate(views(False, 12)):  # two images of each number
+        layouts.write_image(tmp_path / f"{i // 2}_{i % 2}.png", image)
+    calibration = layouts.CALIBRATION.replace("64", "320").replace("48", "240")
+    layouts.write_text(tmp_path / "calibration.yaml", calibration)
+    with pytest.raises(SourceError, match="2 cameras; .* add times.txt with the time of each"):
+        open_source(tmp_path)
+    layouts.write_text(tmp_path / "times.txt", "".join(f"{0.1 * i:.1f}\n" for i in range(12)))
+    assert len(open_source(tmp_path)) == 12
+
+
+def test_images_of_one_name_with_two_suffixes_are_of_two_cameras(tmp_path: Path) -> None:
+    for i in range(COUNT):
+        layouts.write_image(tmp_path / f"{i}.jpg", layouts.image(i))
+        layouts.write_image(tmp_path / f"{i}.png", np.full((48, 64), 1000 + i, np.uint16))
+    found = find_cameras(list_images(tmp_path))
+    assert found.depth is not None
+    assert [path.name for path in found.left.images] == [f"{i}.jpg" for i in range(COUNT)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import layouts
@@ -234,11 +235,18 @@ def unpadded(stamp_ns: int) -> str:
     return f"{stamp_ns // 10**9}.{stamp_ns % 10**9}"
 
 
+def date(stamp_ns: int) -> str:
+    return f"{datetime.fromtimestamp(stamp_ns // 10**9, UTC):%Y-%m-%dT%H:%M:%S}"
+
+
 NOTATIONS = {
     "%d.%d": unpadded,
     "%d.%d of microseconds": lambda stamp: f"{stamp // 10**9}.{stamp % 10**9 // 1000}",
     "%d%d": lambda stamp: f"{stamp // 10**9}{stamp % 10**9}",
     "%f": lambda stamp: f"{stamp}.000000",
+    "date": lambda stamp: f"{date(stamp)}.{stamp % 10**9:09d}",
+    "date with a space": lambda stamp: f"{date(stamp)}.{stamp % 10**9:09d}".replace("T", " "),
+    "date and %d": lambda stamp: f"{date(stamp)}.{stamp % 10**9}",
     "%.18e": lambda stamp: f"{stamp:.18e}",
 }
 
@@ -248,6 +256,8 @@ NOTATIONS = {
 def test_notations_that_mislead(
     tmp_path: Path, notation: str, place: str, caplog: pytest.LogCaptureFixture
 ) -> None:
+    if "space" in notation and place == "trajectory":
+        pytest.skip("columns are separated by spaces")
     texts = [NOTATIONS[notation](stamp) for stamp in TIMES_NS]
     images = [f"{'image_raw_' if place == 'names' else ''}{text}.png" for text in texts]
     folder = tmp_path / "mav0/cam0/data" if place == "data.csv" else tmp_path / "images"

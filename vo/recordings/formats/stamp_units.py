@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence
+from datetime import datetime
 from decimal import Decimal, InvalidOperation
 from typing import Literal, NamedTuple
 
@@ -28,6 +29,7 @@ _WORDS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds", "s": 
 _MIN_LONG = Decimal(10) ** 11
 """As seconds, this would be in the year 5138; whole numbers of this size may be nanoseconds."""
 
+_DATE = re.compile(r"(\d{4}-\d\d-\d\d[ T_]\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:\d\d)?")
 _PARTS = re.compile(r"(\d+)\.(\d+)")
 _JOINED = re.compile(r"(\d{10})(\d{1,9})")
 _WIDTHS = (3, 6, 9)  # digits of milli-, micro- and nanoseconds
@@ -73,10 +75,14 @@ def parse_stamps(
     They have the usual unit of their table, unless intervals would then be implausible, and the
     numbers fit another unit; this is reported by a warning. Whole numbers with twelve or more
     digits, with zeros as decimals or an exponent, too, may be nanoseconds in a table of seconds.
-    Fractions without leading zeros, as `%d.%d` writes them, are completed, with a warning.
+    Fractions without leading zeros, as `%d.%d` writes them, are completed, with a warning. Dates
+    such as `2011-09-26 13:02:25.964` are taken as UTC.
 
     `faults`: receives another unit.
     """
+    if stamps and _DATE.fullmatch(stamps[0].text):
+        stamps = [StampText(location, _seconds_of_date(text)) for location, text in stamps]
+        unit, spacing = "s", STATED
     stamps = _completed(stamps)
     numbers = [_number(stamp.text) for stamp in stamps]
     values = [number or Decimal(0) for number in numbers]
@@ -96,6 +102,17 @@ def parse_stamps(
             "apart; write them with all digits"
         )
     return parsed
+
+
+def _seconds_of_date(text: str) -> str:
+    """Seconds since 1970, with the decimals as written; what is no date stays as it is."""
+    found = _DATE.fullmatch(text)
+    try:
+        moment = datetime.fromisoformat("" if found is None else found[1] + (found[3] or "Z"))
+    except ValueError:
+        return text
+    assert found is not None
+    return f"{int(moment.timestamp())}.{found[2] or 0}"
 
 
 def _completed(stamps: Sequence[StampText]) -> Sequence[StampText]:
@@ -127,10 +144,10 @@ def _completed(stamps: Sequence[StampText]) -> Sequence[StampText]:
         return stamps
     shortest = min(range(len(texts)), key=lambda number: len(digits[number]))
     _log.warning(
-        "%s: fractions of a second are written without leading zeros; %s is read as %s",
+        "%s: fractions of a second are written without leading zeros; .%s is read as .%s",
         stamps[shortest].location,
-        texts[shortest],
-        completed[shortest],
+        digits[shortest],
+        completed[shortest].partition(".")[2],
     )
     return [StampText(stamp.location, text) for stamp, text in zip(stamps, completed, strict=True)]
 
@@ -223,7 +240,7 @@ def stamp_ns_from_seconds(text: str) -> int:
     try:
         seconds = Decimal(text)
     except InvalidOperation as error:
-        raise ValueError(f"'{text}' is not a number of seconds") from error
+        raise ValueError(f"'{text}' is not a number of seconds or a date") from error
     if not seconds.is_finite() or not -_MAX_S <= seconds <= _MAX_S:
         raise ValueError(f"{text} is out of range for seconds")
     return int((seconds * _NS_PER_S).to_integral_value())

@@ -45,7 +45,9 @@ def gather_folder(path: Path, calibration: Path | None, mode: Mode) -> Recording
     left_folder = path / "left" if is_pair else _image_folder(path)
     times = find_times_file(path, left_folder)
     faults: list[Fault] = []
-    found = _cameras(list_images(left_folder), path, times, faults, is_one=is_pair)
+    images = list_images(left_folder)
+    is_one = is_pair or (times is not None and _count_lines(times) == len(images))
+    found = _cameras(images, path, times, faults, is_one=is_one)
     left = found.left
     depth = None if mode == "mono" else found.depth
     return RecordingContents(
@@ -229,13 +231,16 @@ def _matching(pattern: str) -> list[Path]:
 def _times(folder: Path, count: int) -> Path | None:
     """The file of stamps, unless its number of lines differs from the number of images."""
     times = find_times_file(folder, folder.parent)
-    if times is None:
-        return None
+    return times if times is not None and _count_lines(times) == count else None
+
+
+def _count_lines(times: Path) -> int:
+    """The number of lines with a stamp; 0 if there is no such text."""
     try:
         lines = [text for text in read_text(times).splitlines() if text.strip()]
     except (OSError, UnicodeDecodeError):
-        return None
-    return times if len([text for text in lines if text.lstrip()[0].isdigit()]) == count else None
+        return 0
+    return len([text for text in lines if text.lstrip()[0].isdigit()])
 
 
 def _right_of_pattern(pattern: str, left: list[Shot]) -> list[Shot] | None:

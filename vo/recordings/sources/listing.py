@@ -25,6 +25,11 @@ from vo.recordings.sources.images import ImageFile, StoredImage
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _MISSING = "is missing; it should contain the stamps"
 _TIME_IN_NAME = re.compile(r"(\d{10}[_-]\d{1,9}|\d+(?:\.\d+)?(?:e\+?\d+)?)\D*$")
+_DATE_IN_NAME = re.compile(
+    r"(\d{4})-?(\d\d)-?(\d\d)[T_ -]+(\d\d)[:_-]?(\d\d)[:_-]?(\d\d)"
+    r"(?:[.,](\d{1,9})|[_-](\d{3}|\d{6}|\d{9}))\D*$"
+)
+_SPACED_DATE = re.compile(r"^(\d{4}-\d\d-\d\d) (?=\d\d:\d\d:\d\d)", re.MULTILINE)
 _SECONDS_AND_REST = re.compile(r"(\d{10})[_-](\d+)")
 _MIN_STAMP = 1_000_000_000  # smaller integers are counters, not times
 
@@ -51,7 +56,8 @@ class Shot(NamedTuple):
 
 def read_lines(path: Path) -> list[Line]:
     """Read the data lines of a file, without blank lines, comments and a heading of columns."""
-    texts = [text.strip() for text in table_text(path, _MISSING).splitlines()]
+    table = _SPACED_DATE.sub(r"\1T", table_text(path, _MISSING))
+    texts = [text.strip() for text in table.splitlines()]
     numbered = [(n, text) for n, text in enumerate(texts, start=1) if text and text[0] != "#"]
     if numbered and _is_heading(numbered[0][1]):
         numbered = numbered[1:]
@@ -161,17 +167,23 @@ def shots_from_names(
 ) -> list[Shot] | None:
     """Read stamps from file names, or `stems`, that contain a time last; None if they do not.
 
-    Numbers with decimals are seconds. Whole numbers from 10^9 are nanoseconds, microseconds,
-    milliseconds or seconds: the first unit with a median interval from 2 ms to 20 s.
+    Dates have decimals, and numbers with decimals are seconds. Whole numbers from 10^9 are
+    nanoseconds, microseconds, milliseconds or seconds: the first unit with a median interval from
+    2 ms to 20 s.
     """
-    found = [_TIME_IN_NAME.search(stem) for stem in stems or [path.stem for path in images]]
+    stems = stems or [path.stem for path in images]
+    dates = [_DATE_IN_NAME.search(stem) for stem in stems]
+    found = [_TIME_IN_NAME.search(stem) for stem in stems]
     texts = [_SECONDS_AND_REST.sub(r"\1.\2", each[1]) for each in found if each is not None]
     if len(images) < 2 or len(texts) < len(images):
         return None
-    numbers = [Decimal(text) for text in texts]
-    is_seconds = any(number != number.to_integral_value() for number in numbers)
-    if min(numbers) < _MIN_STAMP and not any("." in text for text in texts):
-        return None
+    if all(dates):
+        texts, is_seconds = [_date(each) for each in dates if each is not None], True
+    else:
+        numbers = [Decimal(text) for text in texts]
+        is_seconds = any(number != number.to_integral_value() for number in numbers)
+        if min(numbers) < _MIN_STAMP and not any("." in text for text in texts):
+            return None
     stamps = [StampText(f"file {f}", text) for f, text in zip(images, texts, strict=True)]
     try:
         stamps_ns = parse_stamps(stamps, "s" if is_seconds else "ns", spacing=NAMES)
@@ -182,6 +194,11 @@ def shots_from_names(
     pairs = sorted(zip(stamps_ns, images, strict=True), key=lambda pair: pair[0])
     files = [file for _, file in pairs]
     return make_shots([stamp for stamp, _ in pairs], files, [f"file {file}" for file in files])
+
+
+def _date(found: re.Match[str]) -> str:
+    year, month, day, hour, minute, second, after_point, after_mark = found.groups()
+    return f"{year}-{month}-{day}T{hour}:{minute}:{second}.{after_point or after_mark}"
 
 
 def shots_from_times(

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +16,12 @@ from vo.base.types import Floats, Ints, Trajectory
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.formats.calibration.numbers import make_numbers, make_transform
 from vo.recordings.formats.positions import PositionTable
+from vo.recordings.formats.stamp_units import StampText, parse_stamps
 from vo.recordings.sources.imu import ImuSamples, make_samples
 from vo.recordings.sources.listing import read_lines
 
 _log = logging.getLogger(__name__)
 
-_DATE = re.compile(r"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d)(?:\.(\d{1,9}))?")
 _MAX_RECORD_BYTES = 2**20
 _EARTH_RADIUS_M = 6378137.0
 _ACCELERATIONS = slice(11, 14)  # ax, ay, az along the axes of the unit, in m/s^2, with gravity
@@ -61,26 +59,8 @@ def read_oxts_positions(folder: Path) -> PositionTable:
 
 def read_date_stamps(table: Path) -> list[int]:
     """Stamps in nanoseconds of lines such as `2011-09-26 13:02:25.964389445`."""
-    stamps = []
-    for location, text in read_lines(table):
-        try:
-            stamps.append(stamp_ns_from_date(text))
-        except ValueError as error:
-            raise SourceError(f"{location}: stamp {error}") from error
-    return stamps
-
-
-def stamp_ns_from_date(text: str) -> int:
-    """Nanoseconds since 1970 of a time such as `2011-09-26 13:02:25.964389445`, taken as UTC.
-
-    Raises:
-        ValueError: it is not such a time.
-    """
-    found = _DATE.fullmatch(text.strip())
-    if found is None:
-        raise ValueError(f"'{text}' is not of the form 2011-09-26 13:02:25.964389445")
-    moment = datetime.strptime(found[1], "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
-    return int(moment.timestamp()) * 1_000_000_000 + int((found[2] or "0").ljust(9, "0"))
+    lines = [StampText(location, text) for location, text in read_lines(table)]
+    return parse_stamps(lines, "s")
 
 
 def read_oxts_imu(folder: Path, stamps_ns: Sequence[int]) -> ImuSamples:

@@ -16,6 +16,7 @@ import numpy as np
 from vo.base.errors import SourceError
 from vo.base.printable import counted
 from vo.recordings.sources.images import ImageFile
+from vo.recordings.sources.series_content import compare_series
 
 _log = logging.getLogger(__name__)
 
@@ -27,6 +28,7 @@ _DEPTH = re.compile(r"depth|depthmap|disp|disparity|d|z", re.I)
 _BESIDE = re.compile(
     r"masks?|conf(?:idence)?|seg(?:mentation)?|semantics?|labels?|normals?|flow", re.I
 )
+_DATE = re.compile(r"\d{4}-?\d\d-?\d\d[T_ -]+\d\d[-:_]?\d\d")
 _MAX_CAMERAS = 8
 _MIN_IMAGES = 3  # of series whose names say nothing
 _MIN_COMMON = 0.8  # ratio of numbers that both series have
@@ -132,13 +134,39 @@ def _split(images: Sequence[Path]) -> list[Series]:
         groups.setdefault(each.words, []).append(each)
     if len(groups) > 1:
         return _series(groups.values(), None)
+    if len({each.stem for each in named}) < len(named):  # of files with several suffixes
+        suffixes = sorted({each.path.suffix for each in named})
+        return _series([[e for e in named if e.path.suffix == suffix] for suffix in suffixes], None)
     words = named[0].words
+    is_date = _DATE.search(named[0].stem) is not None
     for place in range(len(named[0].numbers)):
         values = {each.numbers[place] for each in named}
-        if 2 <= len(values) <= _MAX_CAMERAS and max(values) < 10 and _is_camera(words, place):
+        if 2 <= len(values) <= _MAX_CAMERAS and max(values) < 10:
             by_value = [[e for e in named if e.numbers[place] == value] for value in sorted(values)]
-            return _series(by_value, place)
+            found = _series(by_value, place)
+            if _is_camera(words, place) or (not is_date and _are_alike(found, images)):
+                return found
     return _series([named], None)
+
+
+def _are_alike(series: Sequence[Series], images: Sequence[Path]) -> bool:
+    """Whether series whose names don't say so are of several cameras, as the images show.
+
+    Raises:
+        SourceError: the images don't show it either.
+    """
+    lengths = [len(each.images) for each in series]
+    if min(lengths) < max(_MIN_IMAGES, _MIN_COMMON * max(lengths)):
+        return False
+    if not _is_beside(series[1], series[0]):
+        return False
+    seen = compare_series(series[0].images, series[1].images)
+    if seen is None:
+        raise SourceError(
+            f"{_which(series, images)}; if all images are of one camera, add times.txt with the "
+            "time of each in seconds, a line per image"
+        )
+    return seen
 
 
 def _is_camera(words: tuple[str, ...], place: int) -> bool:

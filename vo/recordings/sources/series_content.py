@@ -1,0 +1,83 @@
+"""Whether two series of images are of two cameras, by what the images show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vo.base.errors import SourceError
+from vo.base.types import Floats
+from vo.recordings.sources.images import ImageFile
+
+_SAMPLES = 5
+_WIDTH = 480
+_FEATURES = 500
+_MAX_DISTANCE = 48  # bits
+_MIN_MATCHES = 30  # of images that show the same
+_SEAM = 0.8  # of the matches from one image to the next
+_ONE_DIRECTION = 0.9  # length of the mean of unit vectors
+_MIN_RATIO = 3.0  # of matches in a pair to those in images of other places
+
+
+def compare_series(one: Sequence[Path], other: Sequence[Path]) -> bool | None:
+    """Whether images of the same number show the same moment; None if they don't tell.
+
+    If so, they match better than images of other moments of the recording, and what is seen moves
+    less from one image of a series to the next than to the other series and back. In one camera's
+    images that were counted in two parts, or two of each number, it does not.
+    """
+    count = min(len(one), len(other))
+    rows = np.unique(np.linspace(0, count - 2, _SAMPLES).astype(int))
+    pairs, steps, distant, sideways, onwards = [], [], [], [], []
+    try:
+        for row in rows:
+            apart = (row + count // 2) % count
+            features = [_features(path) for path in (one[row], other[row], one[row + 1])]
+            pair, step = (_motions(features[0], each) for each in features[1:])
+            pairs.append(len(pair))
+            steps.append(len(step))
+            distant.append(len(_motions(features[0], _features(one[apart]))))
+            if len(pair) and len(step):
+                sideways.append(np.median(pair, axis=0))
+                onwards.append(np.median(step, axis=0))
+        seam = len(_motions(_features(one[-1]), _features(other[0])))
+    except SourceError:
+        return False  # reported when the recording is read
+    matches, chance = float(np.median(pairs)), float(np.median(distant))
+    if matches < _MIN_MATCHES or matches < _MIN_RATIO * chance:
+        is_elsewhere = matches < _MIN_MATCHES and np.median(steps) >= _MIN_RATIO * matches
+        return False if is_elsewhere else None
+    if seam >= _SEAM * np.median(steps):  # the second series goes on where the first one ends
+        return None
+    there, ahead = np.array(sideways), np.array(onwards)
+    directions = there / np.maximum(np.linalg.norm(there, axis=1, keepdims=True), 1e-9)
+    is_beside = np.linalg.norm(directions.mean(axis=0)) >= _ONE_DIRECTION
+    is_pair = np.linalg.norm(ahead, axis=1).sum() < np.linalg.norm(2 * there - ahead, axis=1).sum()
+    return True if is_pair and is_beside else None
+
+
+_Features = tuple[Floats, "cv2.typing.MatLike | None"]
+
+
+def _features(path: Path) -> _Features:
+    """Pixels (N, 2) and descriptors in a small copy of an image."""
+    image = ImageFile(path).read()
+    if image.dtype != np.uint8:
+        image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U).astype(np.uint8)
+    scale = min(1.0, _WIDTH / image.shape[1])
+    image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    keypoints, descriptors = cv2.ORB.create(_FEATURES).detectAndCompute(image, None)
+    return np.array([each.pt for each in keypoints], np.float64).reshape(-1, 2), descriptors
+
+
+def _motions(one: _Features, other: _Features) -> Floats:
+    """Motions in pixels (N, 2) of what is matched."""
+    if one[1] is None or other[1] is None:
+        return np.empty((0, 2))
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(one[1], other[1])
+    near = [each for each in matches if each.distance <= _MAX_DISTANCE]
+    pairs = [other[0][each.trainIdx] - one[0][each.queryIdx] for each in near]
+    return np.array(pairs, np.float64).reshape(-1, 2)
