@@ -17,13 +17,10 @@ from typing import Any
 from benchmark_cases import CASES, Case, missed, suite_cases
 from benchmark_run import Result, measure_case
 from benchmark_table import document, generator_document, reading_document, suite_document
-from common import write_section, write_tum_calibration
+from common import EXPERIMENTS, ROOT, parser_of, suite, write_section, write_tum_calibration
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "experiments" / "benchmark-tables.md"
-FEATURES_PAGE = ROOT / "docs" / "experiments" / "features-compared.md"
-LEARNED_PAGE = ROOT / "docs" / "experiments" / "learned-features.md"
-FEATURES_PLOT = ROOT / "docs" / "images" / "features.png"
+PAGE = EXPERIMENTS / "benchmark-tables.md"
+LEARNED_PAGE = EXPERIMENTS / "learned-features.md"
 
 
 def main() -> None:
@@ -39,12 +36,7 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        page = FEATURES_PAGE if options.features else LEARNED_PAGE if options.learned else PAGE
-        write_section(page, section, text)
-        if options.features:
-            from benchmark_features import plot_features
-
-            plot_features(FEATURES_PLOT, report)
+        write_section(LEARNED_PAGE if options.learned else PAGE, section, text)
 
 
 def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]:
@@ -62,11 +54,6 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
         reading = measure_reading(options.cache, _say)
         report = {**_conditions(options), "reading": reading, "recording": recording}
         return "reading", reading_document(report), report
-    if options.features:
-        from benchmark_features import features_document, measure_features
-
-        report = {**_conditions(options), **measure_features(options, _say)}
-        return "comparison", features_document(report), report
     if options.learned:
         from benchmark_learned import learned_document, measure_learned
 
@@ -85,28 +72,14 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="scripts/benchmark", description=__doc__)
+    shared = ("only", "data", "cache", "config", "set", "keep", "json", "write")
+    parser = parser_of("benchmark", __doc__, *shared)
     add = parser.add_argument
     add("--synth", action="store_true", help="the synthetic suite instead of real recordings")
     add("--generator", action="store_true", help="the speed of the generator of recordings")
     add("--reading", action="store_true", help="the speed of reading, and the cost of an .rrd")
-    add("--features", action="store_true", help="detectors, descriptors and matchers, on pairs")
     add("--learned", action="store_true", help="learned features, and as a rescue of ORB")
-    add("--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the made recordings")
-    add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="folder of sequences")
-    add(
-        "--runs",
-        type=int,
-        default=1,
-        help="runs of each; the one with the median wall time counts; with --features pairs of "
-        "each recording and gap",
-    )
-    add("--config", default="default", help="preset or file for `vo run`")
-    add("--set", action="append", default=[], metavar="KEY=VALUE", help="setting for `vo run`")
-    add("--only", default="", metavar="TEXT", help="only where sequence and mode contain this")
-    add("--keep", type=Path, metavar="DIR", help="keep the folder of each first run here")
-    add("--json", type=Path, metavar="FILE", help="write every figure into this file")
-    add("--write", action="store_true", help="write into the page of docs")
+    add("--runs", type=int, default=1, help="runs of each; that of median wall time counts")
     options = parser.parse_args()
     if options.runs < 1:
         parser.error("--runs must be 1 or more")
@@ -132,21 +105,9 @@ def _chosen(cases: list[tuple[Case, Path]], options: argparse.Namespace) -> list
 
 def _suite(options: argparse.Namespace) -> list[tuple[Case, Path]]:
     """The synthetic sequences; those missing in the cache are made."""
-    from data_synth.cache import cached_sequence
-    from data_synth.recipe import load_recipe, recipe_folder
-
-    recipes = {p.stem: p for p in sorted((recipe_folder() / "suite").glob("*.yaml"))}
-    folders: dict[str, Path] = {}
-    cases = []
-    for case in suite_cases(list(recipes)):
-        if options.only not in case.name or (options.learned and not case.hard):
-            continue
-        if case.folder not in folders:
-            recipe = load_recipe(recipes[case.folder])
-            _say(f"{case.folder}: {recipe.about}")
-            folders[case.folder] = cached_sequence(recipe, options.cache, case.folder)
-        cases.append((case, folders[case.folder]))
-    return cases
+    folders = suite(options.cache)
+    chosen = [c for c in suite_cases(list(folders)) if c.hard or not options.learned]
+    return [(case, folders[case.folder]()) for case in chosen if options.only in case.name]
 
 
 def _measure(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+from common import run_timed
 
 MOTIONS = {
     "room": "handheld",
@@ -46,7 +48,6 @@ def measure_generator(say: Callable[[str], None]) -> list[dict[str, Any]]:
     results = []
     for world, motion in MOTIONS.items():
         command = [sys.executable, "-P", "-c", _PROGRAM, world, motion, str(FRAMES)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        results.append(json.loads(done.stdout))
+        results.append(json.loads(run_timed(command, Path()).stdout))
         say(f"{world}: {results[-1]['fps']:.1f} stereo frames/s")
     return results

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import copy
 import hashlib
-import resource
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,19 +40,17 @@ def measure_learned(
             out = work / "learned"
             cpu_s = []
             for _ in range(options.runs):
-                begin = _cpu_s()
-                failed, wall_s = run_case(case, folder, out, chosen)
-                cpu_s.append(_cpu_s() - begin)
+                failed, run = run_case(case, folder, out, chosen)
+                cpu_s.append(run.cpu_s)
                 if failed:
                     break
             if failed:
                 say(f"{case.name}, {method}: {failed}")
                 continue
-            summary = summary_of(out, wall_s)
-            errors = errors_of(case, out, folder)
+            figures = {**summary_of(run), **errors_of(case, out, folder)}
             path = (out / "trajectory.tum").read_bytes()
             results.append({
-                **summary, **errors, "name": case.name, "folder": case.folder, "mode": case.mode,
+                **figures, "name": case.name, "folder": case.folder, "mode": case.mode,
                 "method": method, "cpu_s": min(cpu_s), "sha256": hashlib.sha256(path).hexdigest(),
             })  # fmt: skip
             say(f"{case.name}, {method}: {_cell(results[-1])}, {min(cpu_s):.1f} s")
@@ -109,9 +106,3 @@ def _cell(result: Result) -> str:
     if result["ate_m"] is None:
         return text
     return f"{text}; {result['ate_m']:.4f} of {result['path_m']:.1f} m"
-
-
-def _cpu_s() -> float:
-    """CPU time of all programs that have ended."""
-    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return usage.ru_utime + usage.ru_stime

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -11,10 +10,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from data_synth.cache import cached_sequence
-from data_synth.recipe import load_recipe
+from common import VO, VoRun, rendered, run_timed, run_vo
 
-VO = Path(sys.executable).with_name("vo")
 FRAMES = 100
 RUNS = 5
 KINDS = {
@@ -41,13 +38,13 @@ print(json.dumps({"fps": count / wall, "cpu_ms": 1e3 * cpu / count, "frames": co
 
 def measure_reading(cache: Path, say: Callable[[str], None]) -> list[dict[str, Any]]:
     """Stereo frames per second of reading alone, and CPU time per frame, at 752 x 480."""
-    recipe = load_recipe(None, [f"seconds={FRAMES / 20}"])
-    original = cached_sequence(recipe, cache, "reading")
+    original = rendered(cache, "reading", None, f"seconds={FRAMES / 20}")
     results = []
     with tempfile.TemporaryDirectory(prefix="vo-reading-") as folder:
         for name, (layout, codec) in KINDS.items():
             made = Path(folder) / (f"{layout}-{codec}" + (".mcap" if "mcap" in layout else ""))
-            _vo("convert", original, made, "--to", layout, "--codec", codec, "--quiet")
+            command = [str(VO), "convert", str(original), str(made), "--to", layout, "--quiet"]
+            _checked(run_timed([*command, "--codec", codec], made))
             runs = [_read(made) for _ in range(RUNS)]
             best = sorted(runs, key=lambda run: run["fps"])[RUNS // 2]
             size = sum(p.stat().st_size for p in [made, *made.rglob("*")] if p.is_file())
@@ -68,10 +65,9 @@ def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[s
         summaries: dict[str, list[dict[str, Any]]] = {each: [] for each in variants}
         for _ in range(RUNS):  # in turn, so that a slow minute affects all variants
             for each, more in variants.items():
-                _vo("run", sequence, "--output", Path(name) / "out", "--quiet", *more)
-                text = (Path(name) / "out" / "summary.json").read_text(encoding="utf-8")
+                run = _checked(run_vo(sequence, Path(name) / "out", "--quiet", *more))
                 size = rrd.stat().st_size if more else 0
-                summaries[each].append({**json.loads(text), "size": size})
+                summaries[each].append({**run.summary, "size": size})
         for each, runs in summaries.items():
             frames = runs[0]["frames"]
             wall_ms = 1e3 * median(run["wall_s"] for run in runs) / frames
@@ -83,11 +79,11 @@ def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[s
 
 def _read(recording: Path) -> dict[str, Any]:
     command = [sys.executable, "-P", "-c", _PROGRAM, str(recording)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    result: dict[str, Any] = json.loads(done.stdout)
+    result: dict[str, Any] = json.loads(_checked(run_timed(command, recording)).stdout)
     return result
 
 
-def _vo(*arguments: str | Path) -> None:
-    command = [str(VO), *map(str, arguments)]
-    subprocess.run(command, capture_output=True, text=True, check=True)
+def _checked(run: VoRun) -> VoRun:
+    if run.failure:
+        raise SystemExit(f"error: {run.failure}")
+    return run

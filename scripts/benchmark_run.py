@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 import hashlib
-import json
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,11 +13,10 @@ from typing import Any
 
 import cv2
 from benchmark_cases import Case
+from common import VoRun, options_of, run_vo
 
-VO = Path(sys.executable).with_name("vo")
 LIMIT_FEATURES = 2000
 
-_NO_PATH = 3  # exit status of `vo run` that no frame has a pose: a result, too
 Result = dict[str, Any]
 Say = Callable[..., None]
 
@@ -37,17 +33,17 @@ def measure_case(
     scratch = work / "out"
     result: Result = {"name": case.name, "folder": case.folder, "mode": case.mode, "failed": ""}
     for _ in range(2):  # the first one compiles if this machine has not compiled before
-        _, result["start_up_s"] = run_case(case, folder, scratch, options, "--end", "2")
+        result["start_up_s"] = run_case(case, folder, scratch, options, "--end", "2")[1].wall_s
     runs, digests = [], set()
     for number in range(options.runs):
         out = options.keep / case.name.replace(" ", "_") if options.keep and not number else scratch
-        failed, wall_s = run_case(case, folder, out, options)
+        failed, run = run_case(case, folder, out, options)
         if failed:
             say(f"failed: {failed}")
             return {**result, "failed": failed}
         digests.add(hashlib.sha256((out / "trajectory.tum").read_bytes()).hexdigest())
-        runs.append({**summary_of(out, wall_s), **errors_of(case, out, folder)})
-    runs.sort(key=lambda run: run["wall_ms"])
+        runs.append({**summary_of(run), **errors_of(case, out, folder)})
+    runs.sort(key=lambda found: found["wall_ms"])
     result |= runs[(len(runs) - 1) // 2]
     result["same_bits"] = len(digests) == 1 if options.runs > 1 else None
     result["limit_ms"] = limit_ms(folder, case.images, result["frames"])
@@ -78,29 +74,21 @@ def limit_ms(folder: Path, patterns: tuple[str, ...], frames: int) -> float:
 
 def run_case(
     case: Case, folder: Path, out: Path, options: argparse.Namespace, *more: str
-) -> tuple[str, float]:
-    """`vo run` on a sequence: the reason of a failure, else an empty string; wall time in s.
+) -> tuple[str, VoRun]:
+    """`vo run` on a sequence: the reason of a failure, else an empty string; the run.
 
     Inertial sensors are left out, as the other systems were measured without them.
     """
-    command = [str(VO), "run", str(folder), "--output", str(out), "--quiet", "--no-imu", *more]
-    command += ["--mode", case.mode, "--config", str(options.config)]
-    command += [part for setting in options.set for part in ("--set", setting)]
-    if case.folder.startswith("tum_"):
-        command += ["--calibration", str(options.calibration)]
-    begin = time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    wall_s = time.perf_counter() - begin
-    if done.returncode in (0, _NO_PATH) and "Warning:" not in done.stderr:
-        return "", wall_s
-    lines = done.stderr.strip().splitlines() or [f"exit status {done.returncode}"]
-    is_error = done.returncode not in (0, _NO_PATH)
-    return lines[-1] if is_error else f"a warning: {lines[0]}", wall_s
+    words = ["--quiet", "--no-imu", "--mode", case.mode, "--config", str(options.config), *more]
+    words += [part for setting in options.set for part in ("--set", setting)]
+    run = run_vo(folder, out, *words, *options_of(folder, options.calibration))
+    is_warned = not run.failure and "Warning:" in run.stderr
+    return f"a warning: {run.stderr.splitlines()[0]}" if is_warned else run.failure, run
 
 
-def summary_of(out: Path, wall_s: float) -> Result:
+def summary_of(run: VoRun) -> Result:
     """Figures of the run's summary.json, and the wall time of the whole command."""
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    summary = run.summary
     return {
         "frames": summary["frames"],
         "posed": summary["tracked"],
@@ -111,7 +99,7 @@ def summary_of(out: Path, wall_s: float) -> Result:
         "tracking_fps": summary["frames_per_s"],
         "stages": summary["stages"],
         "peak_rss_mb": summary["peak_rss_mb"],
-        "wall_ms": 1e3 * wall_s / summary["frames"],
+        "wall_ms": 1e3 * run.wall_s / summary["frames"],
     }
 
 

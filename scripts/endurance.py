@@ -22,9 +22,8 @@ from itertools import chain, cycle, islice
 from pathlib import Path
 
 import endurance_laps
+from common import VO, parser_of, rendered
 
-ROOT = Path(__file__).resolve().parent.parent
-VO = Path(sys.executable).with_name("vo")
 WALK = ["seconds=14", "scale=0.5", "effects.exposure=0"]
 POLL_S = 0.5
 EARLY_FRAMES = 2000  # the reference for the end
@@ -57,34 +56,25 @@ def _command(options: argparse.Namespace, work: Path) -> list[str | Path]:
     output = work / "run"
     if options.laps:
         program = Path(__file__).with_name("endurance_laps.py")
-        laps = endurance_laps.rendered_laps(options.cache)
+        laps = rendered(options.cache, "endurance_laps", None, *endurance_laps.LAPS)
         request = (output, str(options.frames), options.config, options.mode, laps)
         return [sys.executable, program, *request]
-    recording = _repeated(_walk(options.cache), work / "recording", options.frames)
+    walk = rendered(options.cache, "endurance", "demo", *WALK)
+    recording = _repeated(walk, work / "recording", options.frames)
     choice = ["--config", options.config, "--mode", options.mode]
     return [VO, "run", recording, "-o", output, "--quiet", *choice]
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="scripts/endurance", description=__doc__)
+    parser = parser_of("endurance", __doc__, "cache", "config")
+    parser.set_defaults(config="fast")
     parser.add_argument("--frames", type=int, default=20000)
-    parser.add_argument("--config", default="fast", help="preset or file for `vo run`")
     parser.add_argument("--mode", default="auto", help="mono ignores the right camera")
-    parser.add_argument(
-        "--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the walk"
-    )
     parser.add_argument("--laps", action="store_true", help="laps through a room, with loops")
     options = parser.parse_args()
     if options.frames < 2 * EARLY_FRAMES:
         parser.error(f"--frames must be {2 * EARLY_FRAMES} or more")
     return options
-
-
-def _walk(cache: Path) -> Path:
-    from data_synth.cache import cached_sequence
-    from data_synth.recipe import load_recipe
-
-    return cached_sequence(load_recipe("demo", WALK), cache, "endurance")
 
 
 def _repeated(walk: Path, folder: Path, frames: int) -> Path:

@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from data_synth.cache import cached_sequence
-from data_synth.recipe import load_recipe
 from vo.base.config import load_config
 from vo.base.faults import Fault
 from vo.base.geometry.similarity import umeyama
@@ -83,11 +81,6 @@ class RepeatedLaps:
     def _noisy(self, image: Bytes, number: int) -> Bytes:
         noise = np.roll(self._noise[number % _NOISES], self._shift[number // 2], axis=1)
         return np.clip(image.astype(np.int16) + noise, 0, 255).astype(np.uint8)
-
-
-def rendered_laps(cache: Path) -> Path:
-    """The folder with the laps, rendered once."""
-    return cached_sequence(load_recipe(None, list(LAPS)), cache, "endurance_laps")
 
 
 def main() -> None:

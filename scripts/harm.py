@@ -9,7 +9,6 @@ An example:
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -17,14 +16,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from common import write_section
+from common import EXPERIMENTS, parser_of, write_section
+from robustness_clips import true_poses
 from robustness_run import errors
 
 import vo
-from vo.base.types import Floats
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs/experiments/harm.md"
+PAGE = EXPERIMENTS / "harm.md"
 MAX_RATIO, MAX_MORE_M = 1.1, 0.001
 
 
@@ -56,12 +54,9 @@ class Run(NamedTuple):
 
 def main() -> None:
     """Print the table; with `--write`, into its page too."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
+    parser = parser_of("harm", __doc__, "write")
     parser.add_argument("recordings", nargs="+", type=Path)
     parser.add_argument("--end", type=int, help="stop before this frame")
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.relative_to(ROOT)}")
     options = parser.parse_args()
     lines = [
         "| recording | addition | with, m | without, m | |",
@@ -93,7 +88,10 @@ def rows(recording: Path, end: int | None = None) -> list[str]:
 
 def measure(recording: Path, mode: str, overrides: tuple[str, ...], end: int | None) -> Run:
     """Run on a recording with these settings."""
-    truth = frame_truth(recording)
+    stream = vo.open(recording, mode="mono")
+    if stream.ground_truth is None:
+        raise SystemExit(f"error: {recording} has no ground truth")
+    truth = true_poses(stream.ground_truth, np.asarray(stream.stamps_ns))
     with tempfile.TemporaryDirectory() as folder:
         vo.run(recording, folder, overrides=overrides, mode=mode, end=end)
         ate_m, _ = errors(Path(folder) / "poses.csv", truth, mode == "mono")
@@ -109,20 +107,6 @@ def judge(complete: Run, without: Run) -> str:
         return "helps" if without.ate_m > MAX_RATIO * complete.ate_m + MAX_MORE_M else ""
     is_said = not complete.is_trusted or set(complete.warnings) - set(without.warnings)
     return "worse, and said" if is_said else "**harm**"
-
-
-def frame_truth(recording: Path) -> Floats:
-    """True poses (N, 4, 4) of the frames of a recording, NaN where unknown."""
-    stream = vo.open(recording, mode="mono")
-    truth = stream.ground_truth
-    if truth is None:
-        raise SystemExit(f"{recording} has no ground truth")
-    stamps_ns = np.asarray(stream.stamps_ns)
-    row = np.clip(np.searchsorted(truth.stamps_ns, stamps_ns), 1, len(truth) - 1)
-    row -= stamps_ns - truth.stamps_ns[row - 1] < truth.stamps_ns[row] - stamps_ns
-    poses = np.array(truth.world_from_cam[row])
-    poses[np.abs(truth.stamps_ns[row] - stamps_ns) > 5_000_000] = np.nan
-    return poses
 
 
 def _figure(ate_m: float | None) -> str:

@@ -7,28 +7,21 @@ of their CPU times is that of one pair.
 
 from __future__ import annotations
 
-import argparse
-import json
 import re
-import resource
-import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from common import write_section
+from common import EXPERIMENTS, parser_of, run_vo, suite, write_section
 
-from data_synth.cache import cached_sequence
-from data_synth.recipe import load_recipe, recipe_folder
 from vo.base.geometry.similarity import umeyama
 from vo.base.types import Floats
 from vo.recordings.formats.trajectory import read_trajectory
 from vo.recordings.sources.registry import open_source
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "experiments" / "inertial-accuracy.md"
+PAGE = EXPERIMENTS / "inertial-accuracy.md"
 HEADING = (
     "| recording | path, m | known after, s | scale error, % | stated, % | ATE, m | ATE, % | "
     "tilt, ° | gyro bias, mrad/s | accelerometer bias, m/s² | CPU time |",
@@ -38,14 +31,12 @@ HEADING = (
 
 def main() -> int:
     """Run all, print the table, and with --write put it into the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of("inertial", __doc__, "only", "cache", "write")
     parser.add_argument("recordings", nargs="*", type=Path, help="recordings instead of the suite")
-    parser.add_argument("--cache", type=Path, default=ROOT / "build" / "synth", help="of renders")
-    parser.add_argument("--only", default="", help="presets of the suite that contain this text")
-    parser.add_argument("--set", default="scale=1", help="setting of the renders")
-    parser.add_argument("--write", action="store_true", help="write the table to its page")
     arguments = parser.parse_args()
-    rows = [measure(path) for path in arguments.recordings or _suite(arguments)]
+    rendered = suite(arguments.cache, "format=euroc")
+    chosen = [make for name, make in rendered.items() if arguments.only in name]
+    rows = [measure(path) for path in arguments.recordings or (make() for make in chosen)]
     table = "\n".join((*HEADING, *rows))
     print(table)
     if arguments.write:
@@ -53,24 +44,15 @@ def main() -> int:
     return 0
 
 
-def _suite(arguments: argparse.Namespace) -> list[Path]:
-    presets = sorted((recipe_folder() / "suite").glob("*.yaml"))
-    chosen = [preset for preset in presets if arguments.only in preset.stem]
-    settings = [arguments.set, "format=euroc"]
-    return [
-        cached_sequence(load_recipe(preset, settings), arguments.cache, preset.stem)
-        for preset in chosen
-    ]
-
-
 def measure(recording: Path) -> str:
     """Row of the table of one recording."""
     name = re.sub(r"-[0-9a-f]{10}$", "", recording.name)
     with TemporaryDirectory() as folder:
         output = Path(folder) / "out"
-        cpu_s = _run(recording, output)
-        ratio = cpu_s / _run(recording, Path(folder) / "without", "--no-imu")
-        summary = json.loads((output / "summary.json").read_text("utf-8"))
+        options = ("--mode", "mono", "--quiet")
+        run = run_vo(recording, output, *options)
+        without = run_vo(recording, Path(folder) / "without", *options, "--no-imu")
+        ratio, summary = run.cpu_s / without.cpu_s, run.summary
         use = summary["inertial"]
         if use["states"] is None or summary["length_unit"] != "m":
             return (
@@ -96,18 +78,6 @@ def measure(recording: Path) -> str:
         f"| {100 * states['scale_sigma']:.2f} | {ate:.4f} | {100 * ate / length:.2f} "
         f"| {tilt} | {gyro} | {accel} | {ratio:.2f} |"
     )
-
-
-def _run(recording: Path, output: Path, *options: str) -> float:
-    """CPU seconds of a run of one camera."""
-    command = [sys.executable, "-I", "-m", "vo", "run", str(recording), "-o", str(output)]
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    # A run without a path ends with status 3.
-    subprocess.run(
-        [*command, "--mode", "mono", "--quiet", *options], check=False, stderr=subprocess.DEVNULL
-    )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def _ate(poses: Floats, true: Floats) -> float:

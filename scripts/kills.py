@@ -14,7 +14,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 import uuid
@@ -23,11 +22,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from common import write_section
+from common import EXPERIMENTS, parser_of, rendered, write_section
 from kills_checks import TABLES, Rest, check, processes_with
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "experiments" / "stopped-runs.md"
+PAGE = EXPERIMENTS / "stopped-runs.md"
 WALK = ["world=room", "motion=handheld", "camera=pinhole", "seconds=6", "scale=0.5"]
 SIGNALS = {"SIGINT": 1, "SIGINT twice": 2, "SIGINT 4 times": 4, "SIGTERM": 1, "SIGKILL": 1}
 PHASES = ("while tracking", "while closing")
@@ -155,30 +153,15 @@ def main() -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="scripts/kills",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("kills", __doc__, "only", "vo", "cache", "write")
     add = parser.add_argument
     add("--moments", type=int, default=8, metavar="N", help="kills of each kind and phase")
-    add("--only", default="", metavar="TEXT", help="only kinds that contain this")
     add("--full-disk", action="store_true", help="also runs into small file systems")
-    add(
-        "--write",
-        action="store_true",
-        help="write the counts into docs/experiments/stopped-runs.md",
-    )
-    add("--vo", type=Path, default=Path(sys.executable).with_name("vo"), help="command to test")
-    add("--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the recording")
     return parser.parse_args()
 
 
 def _recording(cache: Path) -> Path:
-    from data_synth.cache import cached_sequence
-    from data_synth.recipe import load_recipe
-
-    return cached_sequence(load_recipe("demo", WALK), cache, "kills_walk")
+    return rendered(cache, "kills_walk", "demo", *WALK)
 
 
 def _wrong_end(code: int, number: int, status: str, errors: str) -> list[str]:

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from common import parser_of, rendered
 from live_servers import LiveServer
 
 from vo.base.config import load_config
@@ -31,7 +32,6 @@ from vo.recordings.formats.calibration import write_calibration
 from vo.recordings.sources.registry import open_source
 from vo.runs.run_recording import run
 
-ROOT = Path(__file__).resolve().parent.parent
 WALK = ["seconds=14", "scale=0.5", "effects.exposure=0"]
 RATE_HZ = 30.0
 SLOW_S = 0.2  # what each frame takes longer while the consumer is slow
@@ -107,7 +107,7 @@ class Consumer:
 def main() -> None:
     """Serve, run, judge; the exit status is 1 if a target is missed."""
     options = _options()
-    walk = _walk(options.cache)
+    walk = rendered(options.cache, "endurance", "demo", *WALK)
     if options.serve:
         _serve(walk)
     with tempfile.TemporaryDirectory(prefix="vo-live-") as name, _server(options.cache) as url:
@@ -162,22 +162,11 @@ def _judge(phases: Sequence[Phase], summary: Summary) -> int:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="scripts/live", description=__doc__)
+    parser = parser_of("live", __doc__, "cache", "config")
     parser.add_argument("--seconds", type=float, default=180.0)
-    parser.add_argument("--config", default="default", help="preset or file for `vo run`")
     parser.add_argument("--record", action="store_true", help="also record the frames")
-    parser.add_argument(
-        "--cache", type=Path, default=ROOT / "out" / "synth", help="folder for the walk"
-    )
     parser.add_argument("--serve", action="store_true", help=argparse.SUPPRESS)
     return parser.parse_args()
-
-
-def _walk(cache: Path) -> Path:
-    from data_synth.cache import cached_sequence
-    from data_synth.recipe import load_recipe
-
-    return cached_sequence(load_recipe("demo", WALK), cache, "endurance")
 
 
 @contextmanager

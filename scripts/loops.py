@@ -17,26 +17,32 @@ from __future__ import annotations
 import argparse
 import json
 import re
-import resource
-import subprocess
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from common import write_section
+from common import (
+    EXPERIMENTS,
+    ROOT,
+    VO,
+    parser_of,
+    real_recordings,
+    rendered,
+    run_timed,
+    run_vo,
+    suite,
+    write_section,
+)
 
-from data_synth.cache import cached_sequence
-from data_synth.recipe import load_recipe, recipe_folder
 from vo.base.geometry.transforms import inverse, rotation_angle
 from vo.base.types import Floats
 from vo.recordings.formats.trajectory import read_trajectory
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "experiments" / "loop-closure.md"
-SHARED = ROOT.parent / "shared" / "data"
+PAGE = EXPERIMENTS / "loop-closure.md"
 SMALL = ("scale=0.5", "motion=loop", "format=euroc")
 COURSES = {
     "room, three laps": ("world=room", "camera=pinhole", "seconds=40", "fps=10", "seed=1"),
@@ -93,7 +99,6 @@ try:
 finally:
     print(sum(spent))
 """
-_NO_POSE = 3  # status of `vo run`, as where one camera only turns
 _NEAR_M, _NEAR_DEG = 2.0, 30.0
 _MAX_ERROR_M = 1.0  # of the distance of the frames of a loop
 _NEAR_FRAMES = 15  # on each side, for the scale of a path
@@ -116,17 +121,13 @@ class Run:
 
 def main() -> None:
     """Render, run, check, print, and perhaps write the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("loops", __doc__, "only", "data", "write")
     parser.add_argument("recordings", nargs="*", type=Path)
     parser.add_argument("--clean", action="store_true", help="recordings without loops")
     parser.add_argument("--cost", action="store_true", help="only the share of the CPU time")
     parser.add_argument("--cache", type=Path, default=ROOT / "out" / "loops")
-    parser.add_argument("--only", default="", metavar="TEXT", help="names that contain it")
     parser.add_argument("--modes", default="stereo,mono")
     parser.add_argument("--end", type=int, metavar="N", help="stop before this frame")
-    parser.add_argument("--write", action="store_true", help=f"write the rows to {PAGE.name}")
     arguments = parser.parse_args()
     columns = CLEAN_COLUMNS if arguments.clean else COURSE_COLUMNS
     false = 0
@@ -157,19 +158,15 @@ def _options(arguments: argparse.Namespace, mode: str) -> tuple[list[str], list[
 def _recordings(arguments: argparse.Namespace) -> list[tuple[str, Path]]:
     if arguments.recordings:
         return [(path.name, path) for path in arguments.recordings]
-    found = []
     if arguments.clean:
-        found = [(path.name, path) for path in sorted(SHARED.glob("*")) if _truth_files(path)]
-        recipes = {p.stem: load_recipe(p) for p in sorted((recipe_folder() / "suite").glob("*"))}
+        real = [path for path in real_recordings(arguments.data) if _truth_files(path)]
+        makes = {path.name: partial(Path, path) for path in real} | suite(arguments.cache)
     else:
-        recipes = {name: load_recipe(None, [*SMALL, *o]) for name, o in COURSES.items()}
-    chosen = [(name, path) for name, path in found if arguments.only in name]
-    for name, recipe in recipes.items():
-        if arguments.only in name:
-            folder = re.sub(r"\W+", "_", name)
-            arguments.cache.mkdir(parents=True, exist_ok=True)
-            chosen.append((name, cached_sequence(recipe, arguments.cache, folder)))
-    return chosen
+        makes = {
+            name: partial(rendered, arguments.cache, re.sub(r"\W+", "_", name), None, *SMALL, *own)
+            for name, own in COURSES.items()
+        }
+    return [(name, make()) for name, make in makes.items() if arguments.only in name]
 
 
 def _measure(name: str, path: Path, options: tuple[list[str], list[str]]) -> dict[str, str]:
@@ -205,21 +202,14 @@ def _measure(name: str, path: Path, options: tuple[list[str], list[str]]) -> dic
 
 
 def _run(path: Path, output: Path, options: list[str]) -> Run:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    result = subprocess.run(
-        [sys.executable, "-m", "vo", "run", str(path), "-o", str(output), *options],
-        cwd=ROOT,
-        stderr=subprocess.DEVNULL,  # warnings, such as of a lost camera
-    )
-    if result.returncode not in (0, _NO_POSE):
-        raise SystemExit(f"error: vo run {path} failed with status {result.returncode}")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    run = run_vo(path, output, *options)
+    if run.failure:
+        raise SystemExit(f"error: vo run {path} failed: {run.failure}")
     rows = [line.split(",") for line in (output / "poses.csv").read_text().splitlines()[1:]]
     return Run(
-        json.loads((output / "summary.json").read_text()),
+        run.summary,
         _ate_m(output, path),
-        used,
+        run.cpu_s,
         tuple((output / name).read_bytes() for name in _FILES),
         {int(row[0]): int(row[1]) for row in rows},
         {int(row[0]): np.array(row[5:8], dtype=np.float64) for row in rows},
@@ -229,29 +219,16 @@ def _run(path: Path, output: Path, options: list[str]) -> Run:
 
 def _cost(path: Path, options: list[str]) -> float:
     """CPU time of memory relative to that of the rest of a run; exact also on a busy machine."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with TemporaryDirectory() as folder:
-        result = subprocess.run(
-            [sys.executable, "-P", "-c", _COST_PROGRAM, "run", str(path), "-o", folder, *options],
-            check=True,
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-        )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    total = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    spent = float(result.stdout.split()[-1])
-    return spent / (total - spent)
+        program = [sys.executable, "-P", "-c", _COST_PROGRAM]
+        run = run_timed([*program, "run", str(path), "-o", folder, *options], Path(folder))
+    spent = float(run.stdout.split()[-1])
+    return spent / (run.cpu_s - spent)
 
 
 def _ate_m(output: Path, path: Path) -> float | None:
-    result = subprocess.run(
-        [sys.executable, "-m", "vo", "eval", str(output), str(path), "--json"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    if result.returncode:
+    result = run_timed([str(VO), "eval", str(output), str(path), "--json"], output)
+    if result.status:
         return None
     return float(json.loads(result.stdout)["ate"]["translation_m"]["rmse"])
 

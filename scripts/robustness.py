@@ -17,7 +17,15 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-from common import write_section, write_tum_calibration
+from common import (
+    EXPERIMENTS,
+    options_of,
+    parser_of,
+    real_recordings,
+    suite,
+    write_section,
+    write_tum_calibration,
+)
 from robustness_cases import CLIPS, Case, cases
 from robustness_clips import Clip, Clips, true_poses, write_euroc
 from robustness_run import Outcome, max_ate_m, run
@@ -25,8 +33,7 @@ from robustness_table import CleanRow, Row, clean_line, document, line
 
 from vo.recordings.sources.registry import open_source
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "experiments" / "injected-faults.md"
+PAGE = EXPERIMENTS / "injected-faults.md"
 MODES = ("stereo", "mono")
 
 
@@ -100,9 +107,7 @@ def _clean_rows(options: argparse.Namespace, work: Path) -> Iterator[CleanRow]:
             title = f"clean, {name}, {mode}"
             if options.no_clean or options.only not in title:
                 continue
-            arguments: tuple[str, ...] = ("--mode", mode)
-            if name.startswith("tum_"):
-                arguments += ("--calibration", str(calibration))
+            arguments = ("--mode", mode, *options_of(Path(name), calibration))
             with tempfile.TemporaryDirectory(dir=work) as output:
                 outcome = _clean_run(options.vo, folder_of(), Path(output), arguments)
             if outcome is not None:
@@ -111,16 +116,9 @@ def _clean_rows(options: argparse.Namespace, work: Path) -> Iterator[CleanRow]:
 
 def _clean_recordings(options: argparse.Namespace) -> Iterator[tuple[str, Callable[[], Path]]]:
     """Names, and functions that give the folder; those of the suite are made where missing."""
-    from data_synth.cache import cached_sequence
-    from data_synth.recipe import load_recipe, recipe_folder
-
-    for folder in sorted(options.data.glob("*_*")):
-        if folder.name != "eval_reference":
-            yield folder.name, partial(Path, folder)
+    yield from ((folder.name, partial(Path, folder)) for folder in real_recordings(options.data))
     if not options.quick:
-        for file in sorted((recipe_folder() / "suite").glob("*.yaml")):
-            recipe = load_recipe(file)
-            yield file.stem, partial(cached_sequence, recipe, options.cache, file.stem)
+        yield from suite(options.cache).items()
 
 
 def _clean_run(vo: Path, folder: Path, output: Path, arguments: tuple[str, ...]) -> Outcome | None:
@@ -135,23 +133,14 @@ def _clean_run(vo: Path, folder: Path, output: Path, arguments: tuple[str, ...])
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="scripts/robustness",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    shared = ("only", "json", "keep", "vo", "data", "cache")
+    parser = parser_of("robustness", __doc__, *shared)
     add = parser.add_argument
-    add("--only", default="", metavar="TEXT", help="only rows whose name contains this")
     add("--list", action="store_true", help="print the names of the rows, and exit")
     add("--quick", action="store_true", help="one strength of each situation, no synthetic suite")
     add("--no-clean", action="store_true", help="without the runs that count false alarms")
-    add("--json", type=Path, metavar="FILE", help="write every figure into this file")
     add("--markdown", type=Path, metavar="FILE", nargs="?", const=PAGE, help="write the tables; "
         "without a file into docs/experiments/injected-faults.md")  # fmt: skip
-    add("--keep", type=Path, metavar="DIR", help="keep recordings and results here")
-    add("--vo", type=Path, default=Path(sys.executable).with_name("vo"), help="command to test")
-    add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="real recordings")
-    add("--cache", type=Path, default=ROOT / "out" / "synth", help="synthetic recordings")
     options = parser.parse_args()
     if options.markdown == PAGE and options.only:
         parser.error("the page needs all situations: leave out --only")

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from common import run_vo
 
 from vo.base.types import Floats, Ints
 
@@ -40,22 +39,15 @@ def run(
     vo: Path, recording: Path, truth: Floats, output: Path, arguments: tuple[str, ...] = ()
 ) -> Outcome:
     """Run on a recording whose frames have these true poses (N, 4, 4), NaN where unknown."""
-    command = [str(vo), "run", str(recording), "-o", str(output), *arguments]
-    try:
-        process = subprocess.run(
-            command, capture_output=True, text=True, check=False, timeout=_TIMEOUT_S
-        )
-    except subprocess.TimeoutExpired:
+    process = run_vo(recording, output, *arguments, vo=vo, timeout_s=_TIMEOUT_S)
+    if process.wall_s > _TIMEOUT_S:
         return Outcome(None, 0.0, 0.0, "hangs", False, (), f"no end after {_TIMEOUT_S} s", True)
-    file = output / "summary.json"
-    if not file.is_file() or process.returncode not in (0, 3, 130, 143):
-        lines = process.stderr.strip().splitlines() or ["no message"]
-        error = next((line for line in lines if line.startswith("error:")), lines[-1])
-        text = error.removeprefix("error: ")
-        is_known = process.returncode == 1 and "Traceback" not in process.stderr
-        verdict = "refused" if is_known else f"exit status {process.returncode}"
+    if process.failure or not (output / "summary.json").is_file():
+        is_known = process.status == 1 and "Traceback" not in process.stderr
+        verdict = "refused" if is_known else f"exit status {process.status}"
+        text = process.failure.removeprefix("error: ")
         return Outcome(None, 0.0, 0.0, verdict, False, (), text, error=True)
-    summary = json.loads(file.read_text(encoding="utf-8"))
+    summary = process.summary
     ate, step = errors(output / "poses.csv", truth, summary["mode"] == "mono")
     verdict = _verdict(summary, process.stdout)
     return Outcome(

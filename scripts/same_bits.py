@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -17,9 +15,8 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
-from common import write_tum_calibration
+from common import options_of, parser_of, real_recordings, run_vo, suite, write_tum_calibration
 
-ROOT = Path(__file__).resolve().parent.parent
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 PRESETS = ("default", "fast", "accurate")
 MODES = ("stereo", "mono")
@@ -82,19 +79,11 @@ def main() -> None:
 
 
 def _options() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="scripts/same_bits",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("same_bits", __doc__, "only", "data", "cache", "keep")
     add = parser.add_argument
     add("old", type=Path, help="checkout with the expected results (after its scripts/setup)")
     add("new", type=Path, help="checkout to compare with it")
     add("--quick", action="store_true", help="six runs only, on real recordings")
-    add("--only", default="", metavar="TEXT", help="only runs whose name contains this")
-    add("--keep", type=Path, metavar="DIR", help="keep the old results here, or reuse them")
-    add("--data", type=Path, default=ROOT.parent / "shared" / "data", help="real recordings")
-    add("--cache", type=Path, default=ROOT / "out" / "synth", help="synthetic recordings")
     add("--jobs", type=int, default=1, metavar="N", help="runs at the same time")
     return parser.parse_args()
 
@@ -105,22 +94,9 @@ def _cases(options: argparse.Namespace) -> Iterator[Case]:
             if (options.data / name).is_dir():
                 yield Case(options.data / name, mode, preset)
         return
-    real = sorted(p for p in options.data.glob("*_*") if _is_recording(p))
-    for folder, mode, preset in product([*real, *_suite(options.cache)], MODES, PRESETS):
+    folders = real_recordings(options.data) + [make() for make in suite(options.cache).values()]
+    for folder, mode, preset in product(folders, MODES, PRESETS):
         yield Case(folder, mode, preset)
-
-
-def _is_recording(folder: Path) -> bool:
-    return folder.is_dir() and folder.name != "eval_reference"
-
-
-def _suite(cache: Path) -> list[Path]:
-    """The synthetic suite, made where it is not in the cache yet."""
-    from data_synth.cache import cached_sequence
-    from data_synth.recipe import load_recipe, recipe_folder
-
-    recipes = sorted((recipe_folder() / "suite").glob("*.yaml"))
-    return [cached_sequence(load_recipe(path), cache, path.stem) for path in recipes]
 
 
 def _old_run(checkout: Path, case: Case, folder: Path, calibration: Path) -> Run:
@@ -135,14 +111,11 @@ def _old_run(checkout: Path, case: Case, folder: Path, calibration: Path) -> Run
 
 
 def _run(checkout: Path, case: Case, folder: Path, calibration: Path) -> Run:
-    command = [str(checkout.resolve() / ".venv" / "bin" / "vo"), "run", str(case.recording)]
-    command += ["--output", str(folder), "--mode", case.mode, "--config", case.preset, "--quiet"]
-    if case.recording.name.startswith("tum_"):
-        command += ["--calibration", str(calibration)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return Run(folder, process.returncode, usage.ru_utime + usage.ru_stime)
+    words = ["--mode", case.mode, "--config", case.preset, "--quiet"]
+    words += options_of(case.recording, calibration)
+    vo = checkout.resolve() / ".venv" / "bin" / "vo"
+    run = run_vo(case.recording, folder, *words, vo=vo)
+    return Run(folder, run.status, run.cpu_s)
 
 
 def _differences(old: Run, new: Run) -> list[str]:

@@ -10,6 +10,9 @@ from typing import Any
 import pytest
 import typer
 
+from vo.engine.features.descriptors import DESCRIPTORS
+from vo.engine.features.detectors import DETECTORS
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 MAX_WIDTH = 100
@@ -119,3 +122,8 @@ def test_calls_are_found_in_prose_and_code(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("Use `vo run x --mode\nmono`.\n\n```sh\n.venv/bin/vo view out # look\n```\n")
     assert _calls(page) == [("run", " x --mode mono"), ("view", " out ")]
+
+
+def test_the_page_names_every_detector_and_descriptor() -> None:
+    page = (ROOT / "docs" / "features.md").read_text(encoding="utf-8")
+    assert [name for name in (*DETECTORS, *DESCRIPTORS) if f"`{name}`" not in page] == []

@@ -1,8 +1,7 @@
 """Probability that a found instance is right.
 
 A logistic function of what was measured, fitted to rendered scenes with known objects and to
-images without any (`scripts/objects --fit`); docs/experiments/objects.md has how
-reliable it is.
+images without any; docs/experiments/objects.md has how reliable it is.
 """
 
 from __future__ import annotations
