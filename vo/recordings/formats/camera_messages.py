@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,14 @@ from vo.recordings.formats.calibration.checks import check_camera_matrix, make_c
 from vo.recordings.formats.messages import CalibrationMessage
 
 UNCALIBRATED = "K is zero: the camera was never calibrated; give a file with `calibration=FILE`"
-_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (4, 5, 8)}
+_COUNTS = {
+    "plumb_bob": (4, 5),
+    "rational_polynomial": (4, 5, 8),
+    "equidistant": (4,),
+    "kannala brandt4": (4,),
+}
+_RADTAN = re.compile(r"plumb_bob|rational_polynomial|((inverse|modified) )?brown conrady")
+"""Models without distortion if all coefficients are 0, those of RealSense's SDK among them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +81,7 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
 def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Camera:
     model, coefficients = raw.model or "plumb_bob", [float(x) for x in raw.d]
     counts = _COUNTS.get(model.lower())
-    if not any(coefficients) and model.lower() in ("plumb_bob", "rational_polynomial"):
+    if not any(coefficients) and _RADTAN.fullmatch(model.lower()):
         model, coefficients = "none", []
     # Some writers append zeros: 12 and 14 coefficients are OpenCV's thin prism and tilt models.
     elif counts and len(coefficients) not in counts and not any(coefficients[counts[-1] :]):

@@ -127,6 +127,14 @@ class PoseMessage:
 
 
 @dataclass(frozen=True, eq=False)
+class BareTransformMessage:
+    """A (4, 4) transform without stamp and frames, as `geometry_msgs/Transform`."""
+
+    stamp_ns: int
+    transform: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class PositionFixMessage:
     """A position by satellite, as `sensor_msgs/NavSatFix`.
 
@@ -180,7 +188,9 @@ Message = (
 )
 
 
-ReadMessage = Message | CompressedVideoMessage | PathMessage | PositionFixMessage
+ReadMessage = (
+    Message | CompressedVideoMessage | PathMessage | BareTransformMessage | PositionFixMessage
+)
 """All messages that are read; those of `Message` are written too."""
 
 

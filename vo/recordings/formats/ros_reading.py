@@ -16,6 +16,7 @@ from rosbags.typesys.store import Typestore
 from vo.base.errors import SourceError
 from vo.recordings.formats.camera_messages import RawCalibration, calibration_message
 from vo.recordings.formats.messages import (
+    BareTransformMessage,
     CalibrationMessage,
     Codec,
     CompressedImageMessage,
@@ -92,7 +93,8 @@ def _codec(name: str, parse: Callable[[bytes], Any], peek: Callable[[bytes], int
             raise SourceError(f"the definition of {name} is not supported: {error}") from error
 
     # A TFMessage has no stamp; each of its transforms has one.
-    return Codec(kind, decode, (lambda _: None) if kind is TransformsMessage else peek)
+    has_stamp = kind not in (TransformsMessage, BareTransformMessage)
+    return Codec(kind, decode, peek if has_stamp else lambda _: None)
 
 
 def _full_name(schema: str) -> str:
@@ -240,6 +242,10 @@ def _transform(record: Any) -> FrameTransform:
     )
 
 
+def _bare_transform(record: Any) -> BareTransformMessage:
+    return BareTransformMessage(0, rigid_transform(record.translation, record.rotation))
+
+
 def _transform_as_pose(record: Any) -> PoseMessage:
     each = _transform(record)
     stamp_ns = _stamp_ns(record.header.stamp)
@@ -289,6 +295,7 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     ),
     "tf2_msgs/msg/TFMessage": (TransformsMessage, _transforms),
     "tf/msg/tfMessage": (TransformsMessage, _transforms),
+    "geometry_msgs/msg/Transform": (BareTransformMessage, _bare_transform),
     "geometry_msgs/msg/PoseStamped": (PoseMessage, _pose),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (PoseMessage, _pose),
     "geometry_msgs/msg/TransformStamped": (PoseMessage, _transform_as_pose),

@@ -17,11 +17,12 @@ from vo.recordings.formats.stamp_units import MAX_STAMP_NS
 from vo.recordings.sources.imu import Imu, ImuSamples, make_samples, time_slice
 from vo.recordings.sources.logs.images import sorted_by_stamp
 from vo.recordings.sources.logs.log import Entry, Log, Topic
+from vo.recordings.sources.logs.realsense_bag import stream_of
 
 _log = logging.getLogger(__name__)
 
 _PARTS = 20
-_GYRO = re.compile(r"(?<![a-z])gyro(?![a-z])")
+_GYRO = re.compile(r"(?<![a-z])gyro(?![a-z])", re.IGNORECASE)
 
 
 class LogImu:
@@ -60,7 +61,7 @@ class LogImu:
         for entry in self._listed[1]:
             message = self._decode(entry)
             if message is not None:
-                return self._find_extrinsics(message.frame.lstrip("/"))
+                return self._find_extrinsics(stream_of(self.name) or message.frame.lstrip("/"))
         return None
 
     def read(self, first_ns: int | None = None, last_ns: int | None = None) -> ImuSamples:
@@ -192,7 +193,11 @@ def log_imus(
 ) -> list[Imu]:
     """The inertial sensors of a log in the order of topics; gyro and accel topics are joined."""
     single = {topic.name: LogImu(log, topic, find_extrinsics, given) for topic in topics}
-    partners = {name: _GYRO.sub("accel", name) for name in single if _GYRO.search(name)}
+    partners = {
+        name: _GYRO.sub("Accel" if "Gyro" in name else "accel", name)
+        for name in single
+        if _GYRO.search(name)
+    }
     partners = {gyro: accel for gyro, accel in partners.items() if accel in single}
     return [
         PairedImu(imu, single[partners[name]]) if name in partners else imu

@@ -27,6 +27,11 @@ from vo.recordings.sources.logs.images import MessageImage, list_images, list_sh
 from vo.recordings.sources.logs.imu import imu_topics, log_imus
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 from vo.recordings.sources.logs.poses import find_truth_topic, read_truth
+from vo.recordings.sources.logs.realsense_bag import (
+    extrinsics_topics,
+    stream_of,
+    stream_transforms,
+)
 from vo.recordings.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
 from vo.recordings.sources.sequence import ImageSequence
 
@@ -93,11 +98,12 @@ class _ChosenLog:
         if choice.right is not None:
             self._depth = []
         topics = [choice.left, choice.right, self._truth]
-        topics += [*self._calibrations, *transforms, *self._depth]
+        topics += [*self._calibrations, *transforms, *self._depth, *extrinsics_topics(log.topics)]
         names = dict.fromkeys(topic.name for topic in topics if topic is not None)
         self.entries: dict[str, list[Entry]] = log.entries(list(names))
         listed = [(topic, self.entries[topic.name]) for topic in transforms]
         self._frames: FrameTree = read_frame_tree(log, listed)
+        self._frames.add(stream_transforms(log, log.topics, self.entries))
 
     def calibration_of_log(self, mode: Mode) -> Calibration:
         """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
@@ -147,6 +153,8 @@ class _ChosenLog:
 
     def _frame(self, image: Topic, tried: int | None = None) -> str:
         """The frame of the first readable image, perhaps of the first few only."""
+        if stream := stream_of(image.name):
+            return stream
         for entry in self.entries[image.name][:tried]:
             try:
                 message = image.codec.decode(self._log.read(entry))

@@ -20,7 +20,9 @@ from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.logs.choice import base_name
 from vo.recordings.sources.logs.frame_tree import FrameTree
 from vo.recordings.sources.logs.log import Entry, Log, Topic
+from vo.recordings.sources.logs.realsense_bag import stream_of
 
+_ADVICE = "give a file with `calibration=FILE`"
 _MAX_MESSAGES = 100
 _MIN_ZOOM = 0.01  # smaller changes of the focal length are estimates
 _log = logging.getLogger(__name__)
@@ -64,6 +66,8 @@ def find_camera(
     """Find the calibration of an image topic, by topic name or else by frame."""
     space, _, last = base_name(image.name).rpartition("/")
     same = [t for t in calibrations if t.name.rpartition("/")[0] in (space, f"{space}/{last}")]
+    if stream := stream_of(image.name):
+        same = [t for t in calibrations if stream_of(t.name) == stream]
     by_name = same if len(same) == 1 else []
     reason = ""
     for topic in [*by_name, *(t for t in calibrations if t not in by_name)]:
@@ -71,7 +75,8 @@ def find_camera(
             messages = _messages(log, topic, entries[topic.name], is_rectified="rect" in last)
         except VoError as error:
             if topic in by_name:
-                raise CalibrationError(f"{topic.name}: {error}") from error
+                advice = "" if "calibration=" in str(error) else f"; {_ADVICE}"
+                raise CalibrationError(f"{topic.name}: {error}{advice}") from error
             reason = reason or f"; {topic.name}: {error}"
             continue
         found = _usual(messages)
@@ -81,7 +86,7 @@ def find_camera(
     others = ", ".join(topic.name for topic in calibrations) or "none"
     raise CalibrationError(
         f"no calibration for {image.name} in the log (topics with calibrations: {others}{reason}); "
-        "give a file with `calibration=FILE` (format: docs/calibration.md)"
+        f"{_ADVICE} (format: docs/calibration.md)"
     )
 
 
