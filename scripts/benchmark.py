@@ -20,7 +20,6 @@ from benchmark_table import document, generator_document, reading_document, suit
 from common import EXPERIMENTS, ROOT, parser_of, suite, write_section, write_tum_calibration
 
 PAGE = EXPERIMENTS / "benchmark-tables.md"
-LEARNED_PAGE = EXPERIMENTS / "learned-features.md"
 
 
 def main() -> None:
@@ -36,13 +35,13 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.write:
-        write_section(LEARNED_PAGE if options.learned else PAGE, section, text)
+        write_section(PAGE, section, text)
 
 
 def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]:
     """Name, text and figures of the requested section of the page."""
     if options.generator:
-        from benchmark_generator import measure_generator
+        from benchmark_reading import measure_generator
 
         report = {**_conditions(options), "results": measure_generator(_say)}
         return "generator", generator_document(report), report
@@ -54,13 +53,6 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
         reading = measure_reading(options.cache, _say)
         report = {**_conditions(options), "reading": reading, "recording": recording}
         return "reading", reading_document(report), report
-    if options.learned:
-        from benchmark_learned import learned_document, measure_learned
-
-        every = [*((c, options.data / c.folder) for c in CASES), *_suite(options)]
-        results = measure_learned(_chosen(every, options), options, work, _say)
-        report = {**_conditions(options), "results": results}
-        return "learned", learned_document(report), report
     cases = _suite(options) if options.synth else [(c, options.data / c.folder) for c in CASES]
     report = _measure(_chosen(cases, options), options, work)
     known = {case.name: case for case, _ in cases}
@@ -78,7 +70,6 @@ def _options() -> argparse.Namespace:
     add("--synth", action="store_true", help="the synthetic suite instead of real recordings")
     add("--generator", action="store_true", help="the speed of the generator of recordings")
     add("--reading", action="store_true", help="the speed of reading, and the cost of an .rrd")
-    add("--learned", action="store_true", help="learned features, and as a rescue of ORB")
     add("--runs", type=int, default=1, help="runs of each; that of median wall time counts")
     options = parser.parse_args()
     if options.runs < 1:
@@ -106,8 +97,8 @@ def _chosen(cases: list[tuple[Case, Path]], options: argparse.Namespace) -> list
 def _suite(options: argparse.Namespace) -> list[tuple[Case, Path]]:
     """The synthetic sequences; those missing in the cache are made."""
     folders = suite(options.cache)
-    chosen = [c for c in suite_cases(list(folders)) if c.hard or not options.learned]
-    return [(case, folders[case.folder]()) for case in chosen if options.only in case.name]
+    chosen = [case for case in suite_cases(list(folders)) if options.only in case.name]
+    return [(case, folders[case.folder]()) for case in chosen]
 
 
 def _measure(

@@ -1,4 +1,4 @@
-"""Speed of reading recordings, by container and codec, and cost of recording a run."""
+"""Speed of reading and of rendering recordings, and cost of recording a run."""
 
 from __future__ import annotations
 
@@ -33,6 +33,39 @@ wall, cpu = time.perf_counter(), time.process_time()
 count = sum(1 for _ in open_source(sys.argv[1]).frames())
 wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
 print(json.dumps({"fps": count / wall, "cpu_ms": 1e3 * cpu / count, "frames": count}))
+"""
+
+
+MOTIONS = {
+    "room": "handheld",
+    "corridor": "robot",
+    "street": "car",
+    "warehouse": "robot",
+    "terrain": "drone",
+}
+RENDERED_FRAMES = 40
+
+# One process per world, so that its peak memory is that of this world.
+_RENDERING = """
+import json, resource, sys, tempfile, time
+from pathlib import Path
+from data_synth.plan import make_plan
+from data_synth.recipe import load_recipe
+from data_synth.sequence import make_sequence
+world, motion, frames = sys.argv[1], sys.argv[2], int(sys.argv[3])
+recipe = load_recipe(None, [f"world={world}", f"motion={motion}", f"seconds={frames / 20}"])
+times = []
+with tempfile.TemporaryDirectory() as folder:
+    for _ in range(2):  # the first one may compile
+        begin = time.perf_counter()
+        make_plan(recipe)
+        build_s = time.perf_counter() - begin
+    stamp = lambda *_: times.append(time.perf_counter())
+    make_sequence(Path(folder) / "made", recipe, on_frame=stamp)
+peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+fps = (len(times) - 6) / (times[-1] - times[5])
+result = {"world": world, "motion": motion, "build_s": build_s, "fps": fps}
+print(json.dumps({**result, "peak_mb": peak_mb}))
 """
 
 
@@ -74,6 +107,16 @@ def measure_recording(sequence: Path, say: Callable[[str], None]) -> list[dict[s
             kb = runs[0]["size"] / frames / 1e3
             results.append({"sequence": sequence.name, "name": each, "wall_ms": wall_ms, "kb": kb})
             say(f"{sequence.name}, {each}: {wall_ms:.1f} ms/frame, {kb:.0f} kB/frame")
+    return results
+
+
+def measure_generator(say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Seconds to build each world, stereo frames per second at 752 x 480, and peak memory."""
+    results = []
+    for world, motion in MOTIONS.items():
+        command = [sys.executable, "-P", "-c", _RENDERING, world, motion, str(RENDERED_FRAMES)]
+        results.append(json.loads(_checked(run_timed(command, Path())).stdout))
+        say(f"{world}: {results[-1]['fps']:.1f} stereo frames/s")
     return results
 
 

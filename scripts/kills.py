@@ -132,7 +132,8 @@ def main() -> None:
     """Kill, check, print a line for each kind of kill."""
     options = _options()
     with tempfile.TemporaryDirectory(prefix="vo-kills-") as name:
-        bench = Bench(options.vo, _recording(options.cache), Path(name))
+        recording = rendered(options.cache, "kills_walk", "demo", *WALK)
+        bench = Bench(options.vo, recording, Path(name))
         print(f"a whole run: {bench.frames} frames, {bench.started_s:.1f} s to start, ", end="")
         print(f"{bench.tracked_s:.1f} s to track, {bench.closed_s:.1f} s to close")
         counts = {(s, p): Count() for s in SIGNALS for p in PHASES if options.only in f"{s} {p}"}
@@ -143,7 +144,7 @@ def main() -> None:
                 count.finished += rest.status == "finished"
                 count.problems += [f"{what}: {problem}" for problem in rest.problems]
             print(_line(kind, phase, count), flush=True)
-        disks = list(_full_disks(options, bench, Path(name))) if options.full_disk else []
+        disks = list(_full_disks(options.vo, recording, Path(name))) if options.full_disk else []
     problems = [p for count in counts.values() for p in count.problems]
     problems += [p for _, found in disks for p in found]
     if options.write:
@@ -158,10 +159,6 @@ def _options() -> argparse.Namespace:
     add("--moments", type=int, default=8, metavar="N", help="kills of each kind and phase")
     add("--full-disk", action="store_true", help="also runs into small file systems")
     return parser.parse_args()
-
-
-def _recording(cache: Path) -> Path:
-    return rendered(cache, "kills_walk", "demo", *WALK)
 
 
 def _wrong_end(code: int, number: int, status: str, errors: str) -> list[str]:
@@ -179,11 +176,8 @@ def _wrong_end(code: int, number: int, status: str, errors: str) -> list[str]:
     return problems
 
 
-def _full_disks(
-    options: argparse.Namespace, bench: Bench, work: Path
-) -> Iterator[tuple[str, list[str]]]:
+def _full_disks(vo: Path, recording: Path, work: Path) -> Iterator[tuple[str, list[str]]]:
     """Runs on disks of several sizes; what is wrong with each."""
-    recording = _recording(options.cache)
     for size_kb in DISKS_KB:
         place = work / "disk"
         place.mkdir(exist_ok=True)
@@ -192,7 +186,7 @@ def _full_disks(
         limit = "" if is_mounted else f"ulimit -f {size_kb // 10}; "
         arguments = f"-o {place}/out --rrd {place}/run.rrd --mcap {place}/run.mcap"
         arguments += f" --ply {place}/map.ply --colmap {place}/model --config fast --quiet"
-        command = f"{limit}exec {options.vo} run {recording} {arguments}"
+        command = f"{limit}exec {vo} run {recording} {arguments}"
         try:
             result = subprocess.run(
                 ["bash", "-c", command], capture_output=True, text=True, check=False

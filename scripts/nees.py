@@ -9,7 +9,6 @@ taken as the number of independent ones in the 95 % interval.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from common import parser_of
 from scipy.stats import chi2
 
 from vo.base.config import Config, load_config
@@ -203,11 +203,9 @@ def cell(found: list[Pair], step: int) -> str:
 
 def main() -> None:
     """Measure and print the table, and the mean over the recordings."""
-    parser = argparse.ArgumentParser(prog="scripts/nees", description=__doc__)
+    parser = parser_of("nees", __doc__, "config", "set")
     parser.add_argument("recordings", nargs="+", type=Path, help="folders with exact ground truth")
     parser.add_argument("--mode", choices=("stereo", "mono"), default="stereo")
-    parser.add_argument("--config", default="default", help="preset or file")
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args()
     config = load_config(options.config, options.set)
     print(HEADING)
