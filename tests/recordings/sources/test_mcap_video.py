@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -11,6 +12,7 @@ import layouts
 import numpy as np
 import pytest
 from av.video.codeccontext import VideoCodecContext
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
@@ -58,15 +60,15 @@ def packed(encoder: str, every: int = 10) -> Iterator[bytes]:
     yield from (bytes(packet) for packet in codec.encode(None))
 
 
-def write(path: Path, messages: list[bytes], name: str) -> Path:
+def write(path: Path, messages: list[bytes], name: str, kind: Any = CompressedVideo) -> Path:
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        definition = build_file_descriptor_set(CompressedVideo).SerializeToString()
-        schema = writer.register_schema("foxglove.CompressedVideo", "protobuf", definition)
+        definition = build_file_descriptor_set(kind).SerializeToString()
+        schema = writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", definition)
         channel = writer.register_channel("/camera/video", "protobuf", schema)
         for stamp, data in zip(STAMPS_NS, messages, strict=True):
-            message = CompressedVideo(frame_id="c", data=data, format=name)
+            message = kind(frame_id="c", data=data, format=name)
             message.timestamp.FromNanoseconds(stamp)
             writer.add_message(channel, stamp, message.SerializeToString(), stamp)
         writer.finish()
@@ -151,6 +153,30 @@ def test_damage_loses_frames_up_to_the_next_keyframe(tmp_path: Path) -> None:
 def test_error_names_unsupported_codecs(tmp_path: Path) -> None:
     path = write(tmp_path / "log.mcap", [b"\x12\x00"] * COUNT, "av1")
     with pytest.raises(SourceError, match="none of 30 images can be read.*'av1'; h264 and h265"):
+        open_source(path, calibration=path.with_suffix(".yaml"))
+
+
+@pytest.mark.parametrize(
+    ("encoder", "name"),
+    [("libx264", "h264"), ("libx265", "h265"), ("libx264", "jpeg"), ("libx265", "")],
+)
+def test_video_in_images_of_foxglove(tmp_path: Path, encoder: str, name: str) -> None:
+    path = write(tmp_path / "log.mcap", list(packed(encoder)), name, CompressedImage)
+    frames = list(open_source(path, calibration=path.with_suffix(".yaml")).frames())
+    assert [frame.stamp_ns for frame in frames] == STAMPS_NS
+    assert all(differs(frame.image0, frame.index) < 12 for frame in frames)
+
+
+def test_error_says_what_an_image_in_a_message_is(tmp_path: Path) -> None:
+    heic = b"\0\0\0\x18ftypheic" + bytes(99)
+    path = write(tmp_path / "log.mcap", [heic] * COUNT, "", CompressedImage)
+    with pytest.raises(SourceError, match="is a HEIC image: only JPEG, PNG and such are read$"):
+        open_source(path, calibration=path.with_suffix(".yaml"))
+
+
+def test_error_names_the_format_of_images_of_foxglove(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", [b"\x12\x00" * 99] * COUNT, "av1", CompressedImage)
+    with pytest.raises(SourceError, match="gives the format 'av1'"):
         open_source(path, calibration=path.with_suffix(".yaml"))
 
 

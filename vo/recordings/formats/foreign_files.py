@@ -238,9 +238,11 @@ def foreign_message(path: Path, *, by_name: bool = True) -> str:
 def foreign_image_message(data: bytes, name: str) -> str:
     """What an image file is that cannot be decoded, by its content; empty if it is not known."""
     kind = _kind_of_head(data[:_HEAD_BYTES])
-    return (
-        "" if kind is None else f"image {name} is {kind.what}: {_advice(kind.advice, Path(name))}"
-    )
+    if kind is None:
+        return ""
+    is_file = Path(name).is_file()  # else it is in a message of a log
+    advice = _advice(kind.advice, Path(name)) if is_file else "only JPEG, PNG and such are read"
+    return f"image {name} is {kind.what}: {advice}"
 
 
 def _kind(path: Path, by_name: bool) -> Kind | None:

@@ -34,6 +34,7 @@ from vo.recordings.formats.messages import (
     PoseMessage,
     ReadMessage,
     TransformsMessage,
+    encoded_message,
     rigid_transform,
     vector3,
 )
@@ -166,7 +167,7 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], type[PbMessage], Callable[[Any],
     "foxglove.CompressedImage": (
         CompressedImageMessage,
         CompressedImage,
-        partial(_encoded, CompressedImageMessage),
+        partial(_encoded, encoded_message),
     ),
     "foxglove.CompressedVideo": (
         CompressedVideoMessage,

@@ -27,6 +27,9 @@ HEAD_BYTES = 256
 _PLUMB_BOB_COEFFICIENTS = 5
 _BYTES_PER_PIXEL = {"16UC1": 2, "mono16": 2, "32FC1": 4, "bgr8": 3, "bgr16": 6}
 _MAX_DISTANCE_M = 1e12
+_VIDEO_START = re.compile(rb"\x00\x00\x00?\x01")
+_HEVC_START = re.compile(rb"\x00\x00\x00?\x01[\x00\x02\x26\x28\x2a\x40\x42\x44\x46\x4e][\x01-\x07]")
+"""Slices, parameter sets, delimiters and SEI with the two-byte header of H.265, table 7-1."""
 _DECODERS = {"h264": re.compile(r"[hx]\.?264|\bavc"), "hevc": re.compile(r"[hx]\.?265|hevc")}
 
 
@@ -240,6 +243,16 @@ def video_decoder(codec: str) -> str:
     """`h264` or `hevc` for names such as `avc`, `libx264` or `hevc_nvenc;yuv420p`; else nothing."""
     name = codec.lower().partition(";")[0]
     return next((key for key, names in _DECODERS.items() if names.search(name)), "")
+
+
+def encoded_message(
+    stamp_ns: int, frame: str, codec: str, data: bytes
+) -> CompressedImageMessage | CompressedVideoMessage:
+    """An encoded image, or a frame of a video, by `codec` or else by its start code."""
+    if not video_decoder(codec) and _VIDEO_START.match(data):
+        codec = "hevc" if _HEVC_START.match(data) else "h264"
+    kind = CompressedVideoMessage if video_decoder(codec) else CompressedImageMessage
+    return kind(stamp_ns, frame, codec, data)
 
 
 def lens_model(camera: Camera, fisheye: str) -> tuple[str, list[float]]:

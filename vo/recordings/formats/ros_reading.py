@@ -29,9 +29,9 @@ from vo.recordings.formats.messages import (
     PositionFixMessage,
     ReadMessage,
     TransformsMessage,
+    encoded_message,
     rigid_transform,
     vector3,
-    video_decoder,
 )
 
 _NS_PER_S = 1_000_000_000
@@ -186,8 +186,7 @@ def _image(record: Any) -> ImageMessage:
 
 def _compressed(record: Any) -> CompressedImageMessage | CompressedVideoMessage:
     stamp_ns, frame = _stamp_ns(record.header.stamp), record.header.frame_id
-    kind = CompressedVideoMessage if video_decoder(record.format) else CompressedImageMessage
-    return kind(stamp_ns, frame, record.format, record.data.tobytes())
+    return encoded_message(stamp_ns, frame, record.format, record.data.tobytes())
 
 
 def _ffmpeg_packet(record: Any) -> CompressedVideoMessage:
@@ -287,7 +286,7 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "sensor_msgs/msg/Imu": (ImuMessage, _imu),
     "foxglove_msgs/msg/CompressedImage": (
         CompressedImageMessage,
-        partial(_foxglove, CompressedImageMessage),
+        partial(_foxglove, encoded_message),
     ),
     "foxglove_msgs/msg/CompressedVideo": (
         CompressedVideoMessage,
