@@ -151,6 +151,32 @@ def test_intermediate_views_decide_nothing_that_could_be_noise(seed: int) -> Non
     assert found == AMBIGUOUS
 
 
+@pytest.mark.parametrize(("seed", "walls", "noise"), [(14, 45, 0.2), (30, 80, 0.2), (30, 80, 0.5)])
+def test_a_motion_that_points_off_the_floor_refute_makes_no_map(
+    seed: int, walls: int, noise: float
+) -> None:
+    """A turn with a few centimetres of travel, mostly over a floor: two motions fit the floor."""
+    rng = np.random.default_rng(seed)
+    ahead = rng.uniform(1.6, 7.0, 220)
+    floor = np.stack([rng.uniform(-1.1, 1.1, 220), np.full(220, 1.4), ahead], axis=1)
+    ahead = rng.uniform(2.0, 8.0, walls)
+    sides = [rng.choice([-1.2, 1.2], walls), rng.uniform(-1.0, 1.3, walls), ahead]
+    points, matrix = np.concatenate([floor, np.stack(sides, axis=1)]), np.diag([320.0, 320.0, 1.0])
+    step, turn = rng.normal(size=3), rng.normal(size=3)
+    course = np.r_[0.06 * turn / np.linalg.norm(turn), -0.06 * step / np.linalg.norm(step)]
+    if noise == 0.5:
+        course[3:] *= 0.5
+
+    def seen(part: float) -> Floats:
+        in_camera = transform_points(se3_exp(part * course), points)
+        exact = 320.0 * in_camera[:, :2] / in_camera[:, 2:]
+        return np.asarray(exact + rng.normal(0.0, noise, exact.shape))
+
+    between = [IntermediateView(np.arange(len(points)), seen(part)) for part in (1 / 3, 2 / 3)]
+    second, first = seen(1.0), seen(0.0)
+    assert reconstruct(MatchedViews(first, second, matrix, between), CONFIG) == AMBIGUOUS
+
+
 @pytest.mark.parametrize("seed", range(50))
 def test_pure_rotation_never_makes_a_map(seed: int) -> None:
     axis = np.random.default_rng(seed).normal(size=3)
