@@ -8,7 +8,7 @@ import pytest
 
 from vo.base.errors import SourceError
 from vo.recordings.formats.messages import ImageMessage
-from vo.recordings.formats.pixels import grey_pixels
+from vo.recordings.formats.pixels import colour_pixels, grey_pixels
 
 RNG = np.random.default_rng(5)
 GREY = RNG.integers(0, 256, (6, 8), dtype=np.uint8)
@@ -56,6 +56,78 @@ def test_colour_is_converted_to_grey_by_channel(encoding: str, order: list[int])
     assert np.abs(grey - COLOUR @ BGR_TO_GREY).max() <= 1.0
 
 
+YUV = cv2.cvtColor(COLOUR, cv2.COLOR_BGR2YUV_I420)
+_HALF = (20, 30)
+LUMA, U, V = YUV[:40], YUV[40:50].reshape(_HALF), YUV[50:].reshape(_HALF)
+
+
+def planes(*parts: np.ndarray, step: int = 0) -> bytes:
+    """Planes below each other, in rows of 60 pixels, or of `step` bytes."""
+    rows = np.concatenate([part.reshape(-1, 60) for part in parts])
+    return np.pad(rows, ((0, 0), (0, max(step - 60, 0)))).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("encoding", "parts", "step"),
+    [
+        ("nv12", (LUMA, np.dstack([U, V])), 0),
+        ("NV12", (LUMA, np.dstack([U, V])), 64),
+        ("nv21", (LUMA, np.dstack([V, U])), 60),
+        ("i420", (LUMA, U, V), 0),
+        ("yuv420", (LUMA, U, V), 60),
+        ("yv12", (LUMA, V, U), 0),
+    ],
+)
+def test_planes_of_brightness_and_colour(
+    encoding: str, parts: tuple[np.ndarray, ...], step: int
+) -> None:
+    data = planes(*parts, step=step)
+    image = ImageMessage(1, "cam0", 60, 40, encoding, data, step)
+    assert np.array_equal(grey_pixels(image), LUMA)
+    assert np.abs(colour_pixels(image).astype(int) - COLOUR).mean() < 2.0
+    with pytest.raises(SourceError, match=r"60x40 .* are needed"):
+        grey_pixels(ImageMessage(1, "cam0", 60, 40, encoding, data[: -step - 60], step))
+
+
+def test_planes_of_whole_colour() -> None:
+    data = planes(LUMA, np.zeros((80, 60), np.uint8))
+    image = ImageMessage(1, "cam0", 60, 40, "nv24", data)
+    assert np.array_equal(grey_pixels(image), LUMA)
+
+
+def test_planes_with_padded_rows_are_refused() -> None:
+    with pytest.raises(SourceError, match="rows of i420 with 64 bytes are not read"):
+        grey_pixels(ImageMessage(1, "cam0", 60, 40, "i420", bytes(64 * 60), 64))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "same"),
+    [("GREY", "mono8"), ("Y8", "mono8"), ("L_INT8", "mono8"), ("R8G8B8", "rgb8"), ("bgr", "bgr8")],
+)
+def test_other_names(encoding: str, same: str) -> None:
+    pixels = GREY if same == "mono8" else COLOUR
+    expected = grey_pixels(message(same, pixels))
+    assert np.array_equal(grey_pixels(message(encoding, pixels)), expected)
+
+
+@pytest.mark.parametrize("encoding", ["mono12", "Y16", "bayer_rggb12"])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_other_names_of_sixteen_bits(encoding: str, order: str) -> None:
+    deep = (GREY.astype(np.uint16) << 4).astype(f"{order}u2")
+    standard = "bayer_rggb16" if "bayer" in encoding else "mono16"
+    images = [message(name, deep, big_endian=order == ">") for name in (encoding, standard)]
+    assert np.array_equal(*map(grey_pixels, images))
+    packed = ImageMessage(1, "cam0", 8, 6, encoding, bytes(8 * 6 * 3 // 2))
+    with pytest.raises(SourceError, match="has 72 bytes; 96 are needed"):
+        grey_pixels(packed)
+
+
+@pytest.mark.parametrize("encoding", ["64FC1"])
+def test_depth_is_no_image_of_a_camera(encoding: str) -> None:
+    with pytest.raises(SourceError, match="is that of depth; choose the topic of a camera"):
+        grey_pixels(message(encoding, GREY))
+
+
 # The name lists the colours of a 2x2 tile, row by row.
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
 @pytest.mark.parametrize("bits", [8, 16])
@@ -95,7 +167,7 @@ def test_row_padding_is_skipped() -> None:
         ("mono8", 0, 0, "image of 0x6"),
         ("rgb8", 8, 0, "144 are needed"),
         ("jpeg?", 8, 0, "encoding 'jpeg\\?' is not supported; supported are mono8"),
-        ("32FC1", 8, 0, "encoding '32FC1' is not supported"),
+        ("32FC1", 8, 0, "encoding '32FC1' is that of depth"),
     ],
 )
 def test_error_names_the_problem(encoding: str, width: int, step: int, reason: str) -> None:

@@ -11,16 +11,15 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.types import Camera
 from vo.recordings.formats.calibration.checks import check_camera_matrix, make_camera
+from vo.recordings.formats.calibration.lenses import COUNTS, lens_named
+from vo.recordings.formats.calibration.numbers import check_rotation
 from vo.recordings.formats.messages import CalibrationMessage
 
 UNCALIBRATED = "K is zero: the camera was never calibrated; give a file with `calibration=FILE`"
-_COUNTS = {
-    "plumb_bob": (4, 5),
-    "rational_polynomial": (4, 5, 8),
-    "equidistant": (4,),
-    "kannala brandt4": (4,),
-}
-_RADTAN = re.compile(r"plumb_bob|rational_polynomial|((inverse|modified) )?brown conrady")
+_IDEAL = re.compile(
+    r"plumb.?bob|rational.?polynomial|radtan|((inverse|modified).?)?brown.?conrady|pinhole|"
+    r"perspective|thin.?prism"
+)
 """Models without distortion if all coefficients are 0, those of RealSense's SDK among them."""
 
 
@@ -59,7 +58,10 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
     if len(raw.k) != 9 or not any(raw.k[:8]):
         raise CalibrationError(f"{where} is empty: {UNCALIBRATED}")
     check_camera_matrix(where, np.reshape(raw.k, (3, 3)))
+    if not np.isfinite([*raw.r, *raw.p]).all():
+        raise CalibrationError(f"{where}: R or P has numbers that are not finite")
     r = np.reshape(raw.r, (3, 3)) if len(raw.r) == 9 and any(raw.r) else np.eye(3)
+    check_rotation(f"{where}: R", r)
     p = np.reshape(raw.p, (3, 4)) if len(raw.p) == 12 and any(raw.p) else np.zeros((3, 4))
     if not p.any():
         p[:, :3] = np.reshape(raw.k, (3, 3))
@@ -80,11 +82,11 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
 
 def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Camera:
     model, coefficients = raw.model or "plumb_bob", [float(x) for x in raw.d]
-    counts = _COUNTS.get(model.lower())
-    if not any(coefficients) and _RADTAN.fullmatch(model.lower()):
+    counts = (4, 5) if model.lower() == "plumb_bob" else COUNTS[lens_named(model) or "none"]
+    if not any(coefficients) and _IDEAL.fullmatch(model.lower()):
         model, coefficients = "none", []
     # Some writers append zeros: 12 and 14 coefficients are OpenCV's thin prism and tilt models.
-    elif counts and len(coefficients) not in counts and not any(coefficients[counts[-1] :]):
+    elif len(coefficients) not in counts and not any(coefficients[counts[-1] :]):
         coefficients = coefficients[: counts[-1]]
     return make_camera(
         f"calibration message of '{raw.frame}'",

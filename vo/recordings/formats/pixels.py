@@ -21,16 +21,36 @@ DEPTH_UNITS_PER_METRE = 1000.0
 
 @dataclass(frozen=True)
 class _Layout:
-    """Storage of a pixel: sample size, channels, and conversions to grey and to BGR."""
+    """Storage of a pixel: sample size, channels, and conversions to grey and to BGR.
+
+    `half_rows`: rows of data for two rows of the image; more than 2 with planes of colour.
+    """
 
     bytes_per_sample: int
     channels: int
     grey: Callable[[Pixels], Pixels]
     colour: Callable[[Pixels], Pixels]
+    half_rows: int = 2
+
+    def row_bytes(self, width: int) -> int:
+        """Bytes of a row without padding."""
+        return width * self.channels * self.bytes_per_sample
+
+    def rows(self, height: int) -> int:
+        """Rows of data."""
+        return height * self.half_rows // 2
 
 
 def _first_channel(image: Pixels) -> Pixels:
     return image[:, :, 0]
+
+
+def _first_plane(image: Pixels) -> Pixels:
+    return image[: len(image) * 2 // 3, :, 0]
+
+
+def _first_of_three_planes(image: Pixels) -> Pixels:
+    return image[: len(image) // 3, :, 0]
 
 
 def _unchanged(image: Pixels) -> Pixels:
@@ -76,6 +96,16 @@ _LAYOUTS: dict[str, _Layout] = {
         1, 2, _converted(cv2.COLOR_YUV2GRAY_YUY2), _converted(cv2.COLOR_YUV2BGR_YUY2)
     ),
 }
+_LAYOUTS |= {
+    name: _Layout(1, 1, _first_plane, _converted(code), half_rows=3)
+    for name, code in (
+        ("nv12", cv2.COLOR_YUV2BGR_NV12),
+        ("nv21", cv2.COLOR_YUV2BGR_NV21),
+        ("i420", cv2.COLOR_YUV2BGR_I420),
+        ("yv12", cv2.COLOR_YUV2BGR_YV12),
+    )
+} | {"nv24": _Layout(1, 1, _first_of_three_planes, _first_of_three_planes, half_rows=6)}
+_UNPADDED = ("i420", "yv12")
 _OTHER_YUV = {"yuv422": "yuv422_yuy2", "yuv422_yuy2": "yuv422"}
 _OTHER_NAMES = {
     "8uc1": "mono8",
@@ -87,7 +117,15 @@ _OTHER_NAMES = {
     "uyvy": "yuv422",
     "yuyv": "yuv422_yuy2",
     "yuy2": "yuv422_yuy2",
+    "yuv420": "i420",
+    "yuv420p": "i420",
+    **dict.fromkeys(("mono", "grey", "gray", "grey8", "gray8", "y8", "l8", "l_int8"), "mono8"),
+    **dict.fromkeys(("mono10", "mono12", "gray16", "y10", "y12", "y16", "l16"), "mono16"),
+    **dict.fromkeys(("rgb", "rgb_int8", "r8g8b8"), "rgb8"),
+    **dict.fromkeys(("bgr", "bgr_int8", "b8g8r8"), "bgr8"),
+    **{f"bayer_{name}{bits}": f"bayer_{name}16" for name in _BAYER for bits in (10, 12, 14)},
 }
+"""Names by OpenCV, V4L2, GenICam, FFmpeg and Gazebo; 10 to 14 bits are stored in 16."""
 
 
 def grey_pixels(message: ImageMessage) -> Pixels:
@@ -105,40 +143,50 @@ def colour_pixels(message: ImageMessage) -> Pixels:
 def has_wrong_step(message: ImageMessage) -> bool:
     """Whether the step is less than a row, but the data are exactly all rows."""
     layout = _layout(message)
-    row_bytes = message.width * layout.channels * layout.bytes_per_sample
-    return 0 < message.step < row_bytes and len(message.data) == message.height * row_bytes
+    row_bytes = layout.row_bytes(message.width)
+    whole_bytes = layout.rows(message.height) * row_bytes
+    return 0 < message.step < row_bytes and len(message.data) == whole_bytes
 
 
 def as_other_yuv(message: ImageMessage) -> ImageMessage | None:
     """The message in the other order of brightness and colour; None if it is not YUV."""
-    name = message.pixel_format.strip().lower()
-    other = _OTHER_YUV.get(_OTHER_NAMES.get(name, name))
+    other = _OTHER_YUV.get(_standard_name(message))
     return None if other is None else replace(message, pixel_format=other)
 
 
-def _layout(message: ImageMessage) -> _Layout:
+def _standard_name(message: ImageMessage) -> str:
     name = message.pixel_format.strip().lower()
-    layout = _LAYOUTS.get(_OTHER_NAMES.get(name, name))
+    return _OTHER_NAMES.get(name, name)
+
+
+def _layout(message: ImageMessage) -> _Layout:
+    name = _standard_name(message)
+    layout = _LAYOUTS.get(name)
     if layout is None:
-        raise SourceError(
-            f"pixel encoding '{message.pixel_format}' is not supported; supported are mono8, "
-            "mono16, rgb8, bgr8, rgba8, bgra8, bayer_*, yuv422 and yuyv"
-        )
+        advice = "is that of depth; choose the topic of a camera (`topics=TOPIC`)"
+        if name not in ("32fc1", "64fc1"):
+            advice = (
+                "is not supported; supported are mono8, mono16, rgb8, bgr8, rgba8, bgra8, bayer_*, "
+                "yuv422, yuyv, nv12, nv21, nv24, i420 and yv12"
+            )
+        raise SourceError(f"pixel encoding '{message.pixel_format}' {advice}")
+    if name in _UNPADDED and message.step > message.width:
+        raise SourceError(f"rows of {message.pixel_format} with {message.step} bytes are not read")
     return layout
 
 
 def _rows(message: ImageMessage, layout: _Layout) -> Pixels:
     """The samples as (H, W, channels) in native byte order, as a view if possible."""
-    width, height = message.width, message.height
-    row_bytes = width * layout.channels * layout.bytes_per_sample
+    width, height = message.width, layout.rows(message.height)
+    row_bytes = layout.row_bytes(width)
     step = message.step or row_bytes
     if has_wrong_step(message):
         step = row_bytes
     needed = (height - 1) * step + row_bytes
     if width < 1 or height < 1 or step < row_bytes or len(message.data) < needed:
         raise SourceError(
-            f"image of {width}x{height} {message.pixel_format} with rows of {step} bytes has "
-            f"{len(message.data)} bytes; {max(needed, 0)} are needed"
+            f"image of {width}x{message.height} {message.pixel_format} with rows of {step} bytes "
+            f"has {len(message.data)} bytes; {max(needed, 0)} are needed"
         )
     kind = np.dtype(np.uint8 if layout.bytes_per_sample == 1 else np.uint16)
     stored = kind.newbyteorder(">" if message.big_endian else "<")

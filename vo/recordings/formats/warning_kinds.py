@@ -57,6 +57,23 @@ def collected_warnings(*, are_shown: bool = False) -> Iterator[list[LoggedWarnin
         logger.propagate = propagate
 
 
+@contextmanager
+def warned_once(logger: logging.Logger) -> Iterator[None]:
+    """Drop what a logger repeats."""
+    seen: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        count = len(seen)
+        seen.add(record.getMessage())
+        return len(seen) > count
+
+    logger.addFilter(is_new)
+    try:
+        yield
+    finally:
+        logger.removeFilter(is_new)
+
+
 class _Collector(logging.Handler):
     def __init__(self, warnings: list[LoggedWarning]) -> None:
         super().__init__(logging.WARNING)

@@ -34,7 +34,7 @@ from vo.recordings.formats.calibration.numbers import (
 from vo.recordings.formats.warning_kinds import warning_kind
 
 _MIN_BASELINE_M = 1e-6
-_MAX_BASELINE_M = 10.0
+_SHORT_BASELINE_M, _MAX_BASELINE_M = 1e-3, 10.0
 _MIN_FOCAL_RATIO = 0.03
 """Focal length over image size below which it is in another unit: a view of 173 degrees."""
 _MAX_READOUT_S = 0.2
@@ -50,7 +50,7 @@ _HIGHEST_NOISE = (1.0, 1.0, 100.0, 100.0)
 """Noise above these is in another unit, or a text has been misread."""
 _NOISE_UNITS = ("rad/s/√Hz", "rad/s²/√Hz", "m/s²/√Hz", "m/s³/√Hz")
 _MAX_OFFSET_S = 1.0
-_log = logging.getLogger(__name__)
+checks_log = logging.getLogger(__name__)
 
 
 def make_camera(
@@ -137,15 +137,23 @@ def make_readout(where: str, value: Any) -> float:
 
 
 def check_baseline(where: str, cam1_from_cam0: Floats) -> None:
-    """Refuse a baseline of zero, and warn of an implausibly long one."""
+    """Refuse a baseline of zero, and warn of an implausible one."""
     baseline = float(np.linalg.norm(cam1_from_cam0[:3, 3]))
     if baseline < _MIN_BASELINE_M:
         raise CalibrationError(
             f"{where}: the baseline is {baseline:g} m, so depth cannot be measured; give the "
             "distance between the cameras in metres, or use one camera with `mode=mono`"
         )
+    if baseline < _SHORT_BASELINE_M:
+        checks_log.warning(
+            "%s: the baseline is only %.3g m; it must be in metres, and in the projection P of a "
+            "right camera the last column is -fx times that",
+            where,
+            baseline,
+            extra=warning_kind("calibration"),
+        )
     if baseline > _MAX_BASELINE_M:
-        _log.warning(
+        checks_log.warning(
             "%s: the baseline is %g m; if the unit is millimetres, all lengths will be 1000 times "
             "too large, if it is centimetres, 100 times",
             where,
@@ -229,7 +237,9 @@ def make_time_offset(where: str, value: Any) -> float:
         return 0.0
     offset_s = make_number(where, value)
     if abs(offset_s) > _MAX_OFFSET_S:
-        _log.warning("%s is %g s between camera and IMU; it must be in seconds", where, offset_s)
+        checks_log.warning(
+            "%s is %g s between camera and IMU; it must be in seconds", where, offset_s
+        )
     return offset_s
 
 
@@ -245,7 +255,7 @@ def check_camera_matrix(where: str, k: Floats) -> None:
             "[0, fy, cy] and [0, 0, 1]"
         )
     if abs(k[0, 1]) > _MAX_SKEW_PX:
-        _log.warning(
+        checks_log.warning(
             "%s: the skew of the camera matrix, %g px, is not used: axes of pixels are taken as "
             "perpendicular",
             where,
@@ -272,7 +282,7 @@ def _check_pinhole(where: str, camera: Camera) -> None:
             f"{camera.width}x{camera.height} image; intrinsics are [fx, fy, cx, cy] in pixels"
         )
     if max(off_u, off_v) > 0.0:
-        _log.warning(
+        checks_log.warning(
             "%s: principal point (%g, %g) is outside the %dx%d image; check that the calibration "
             "is for images of this size",
             where,
@@ -285,7 +295,7 @@ def _check_pinhole(where: str, camera: Camera) -> None:
     ratio = centre_scale(camera) * camera.fx / camera.width
     if not _PLAUSIBLE_FOCAL_RATIO[0] <= ratio <= _PLAUSIBLE_FOCAL_RATIO[1]:
         field_of_view_deg = 2.0 * math.degrees(math.atan(0.5 / ratio))
-        _log.warning(
+        checks_log.warning(
             "%s: a focal length of %g for %d pixels is a field of view of %.3g degrees; check the "
             "unit (pixels) and the size of the images",
             where,
@@ -324,7 +334,7 @@ def _check_reach(where: str, camera: Camera) -> None:
     )
     if ratio > _MAX_FOLDED:
         raise CalibrationError(text)
-    _log.warning("%s", text, extra=warning_kind("calibration"))
+    checks_log.warning("%s", text, extra=warning_kind("calibration"))
 
 
 def _outside(centre: float, size: int) -> float:

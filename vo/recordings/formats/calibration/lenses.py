@@ -61,11 +61,16 @@ _NAMES: dict[str, DistortionModel] = {_compared(n): m for n, m in DISTORTION_NAM
 """Names without their punctuation, and others that some programs write."""
 
 
+def lens_named(name: Any) -> DistortionModel | None:
+    """The lens model of a name in `DISTORTION_NAMES`, whatever its spelling."""
+    return _NAMES.get(_compared(name))
+
+
 def make_lens(
     where: str, model: Any, coefficients: Any
 ) -> tuple[DistortionModel, tuple[float, ...]]:
     """The lens model and its coefficients, given a name in `DISTORTION_NAMES` or None."""
-    name = "none" if model is None else _NAMES.get(_compared(model))
+    name = "none" if model is None else lens_named(model)
     if name is None:
         raise CalibrationError(
             f"{where}: distortion model {str(model)[:40]!r} is not supported; supported are "

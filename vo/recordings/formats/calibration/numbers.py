@@ -122,7 +122,7 @@ def make_transform(where: str, value: Any) -> Floats:
 def check_rotation(where: str, rotation: Floats) -> None:
     """Refuse a (3, 3) matrix that is not a rotation."""
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if defect > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+    if not defect <= _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:  # NaN included
         raise CalibrationError(
             f"{where}: the rotation is not orthonormal (off by {defect:.2g}, determinant "
             f"{np.linalg.det(rotation):.4g}); check that it is complete and row by row"

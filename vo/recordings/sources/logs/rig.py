@@ -12,11 +12,11 @@ import numpy as np
 from vo.base.errors import CalibrationError, VoError
 from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Floats
-from vo.recordings.formats.calibration.checks import check_baseline, matrix_camera
+from vo.recordings.formats.calibration.checks import check_baseline, checks_log, matrix_camera
 from vo.recordings.formats.calibration.document import ImageSize
 from vo.recordings.formats.camera_messages import UNCALIBRATED
 from vo.recordings.formats.messages import CalibrationMessage
-from vo.recordings.formats.warning_kinds import warning_kind
+from vo.recordings.formats.warning_kinds import warned_once, warning_kind
 from vo.recordings.sources.logs.choice import base_name
 from vo.recordings.sources.logs.frame_tree import FrameTree
 from vo.recordings.sources.logs.log import Entry, Log, Topic
@@ -70,22 +70,35 @@ def find_camera(
         same = [t for t in calibrations if stream_of(t.name) == stream]
     by_name = same if len(same) == 1 else []
     reason = ""
+    by_frame: list[tuple[Topic, list[CalibrationMessage]]] = []
     for topic in [*by_name, *(t for t in calibrations if t not in by_name)]:
         try:
-            messages = _messages(log, topic, entries[topic.name], is_rectified="rect" in last)
+            with warned_once(checks_log):
+                messages = _messages(log, topic, entries[topic.name], is_rectified="rect" in last)
         except VoError as error:
             if topic in by_name:
                 advice = "" if "calibration=" in str(error) else f"; {_ADVICE}"
                 raise CalibrationError(f"{topic.name}: {error}{advice}") from error
             reason = reason or f"; {topic.name}: {error}"
             continue
+        if topic in by_name or (frame and _usual(messages).frame == frame):
+            by_frame.append((topic, messages))
+        if topic in by_name:
+            break
+    if by_frame:
+        topic, messages = by_frame[0]
         found = _usual(messages)
-        if topic in by_name or (frame and found.frame == frame):
-            _warn_of_changes(topic, found, messages)
-            return LogCamera(image.name, frame or found.frame, found, "rect" in last)
-    others = ", ".join(topic.name for topic in calibrations) or "none"
+        for other, others in by_frame[1:]:
+            if _values(_usual(others)) != _values(found):
+                raise CalibrationError(
+                    f"{topic.name} and {other.name} both are of frame '{frame}', that of "
+                    f"{image.name}, and differ; {_ADVICE}"
+                )
+        _warn_of_changes(topic, found, messages)
+        return LogCamera(image.name, frame or found.frame, found, "rect" in last)
+    known = ", ".join(topic.name for topic in calibrations) or "none"
     raise CalibrationError(
-        f"no calibration for {image.name} in the log (topics with calibrations: {others}{reason}); "
+        f"no calibration for {image.name} in the log (topics with calibrations: {known}{reason}); "
         f"{_ADVICE} (format: docs/calibration.md)"
     )
 
@@ -115,6 +128,13 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
             "other topics, or one with `topics`"
         )
     check_baseline(f"{left.topic} and {right.topic}", found)
+    if found is by_projection and found[0, 3] > 0.0:
+        _log.warning(
+            "%s: by P the camera is to the left of %s: the last column of a right camera is "
+            "negative, -fx times the baseline",
+            right.topic,
+            left.topic,
+        )
     return found
 
 
