@@ -26,7 +26,7 @@ from mcap.writer import Writer
 from mcap_logs import DIALECTS, write_log
 from rosbags.typesys import Stores, get_typestore
 
-from vo.base.errors import CalibrationError
+from vo.base.errors import CalibrationError, SourceError
 from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Camera
 from vo.recordings.formats.messages import (
@@ -163,6 +163,18 @@ def test_the_order_of_brightness_and_colour_is_that_of_the_pixels(
     pixels[:, :, brightness] = grey
     np.testing.assert_array_equal(_read(tmp_path, stated, pixels), grey)
     assert ("not as stated" in caplog.text) == ((stated == "yuv422") == (brightness == 0))
+
+
+def test_pixels_of_more_bytes_than_stated_are_refused(tmp_path: Path) -> None:
+    grey = cv2.GaussianBlur(layouts.image(0), (0, 0), 3)
+    deep = (grey.astype(np.uint16) << 4).view(np.uint8).reshape(*grey.shape, 2)
+    rgba = np.dstack([grey, grey, grey, np.full_like(grey, 255)])
+    for encoding, pixels, count in (("mono8", deep, 2), ("rgb8", rgba, 4)):
+        with pytest.raises(SourceError, match=f"{count} bytes for each pixel, which {encoding}"):
+            _read(tmp_path, encoding, pixels, step=count * layouts.WIDTH)
+    beside = np.hstack([grey, grey])  # the left one of two in one buffer
+    half = np.array(_read(tmp_path, "mono8", beside[:, : 2 * layouts.WIDTH], 2 * layouts.WIDTH))
+    assert np.array_equal(half, grey)
 
 
 def test_a_step_of_a_pixel_is_ignored(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

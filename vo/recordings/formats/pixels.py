@@ -105,6 +105,7 @@ _LAYOUTS |= {
         ("yv12", cv2.COLOR_YUV2BGR_YV12),
     )
 } | {"nv24": _Layout(1, 1, _first_of_three_planes, _first_of_three_planes, half_rows=6)}
+_MAX_PIXEL_BYTES, _MAX_OF_NEXT = 8, 0.8
 _UNPADDED = ("i420", "yv12")
 _OTHER_YUV = {"yuv422": "yuv422_yuy2", "yuv422_yuy2": "yuv422"}
 _OTHER_NAMES = {
@@ -146,6 +147,23 @@ def has_wrong_step(message: ImageMessage) -> bool:
     row_bytes = layout.row_bytes(message.width)
     whole_bytes = layout.rows(message.height) * row_bytes
     return 0 < message.step < row_bytes and len(message.data) == whole_bytes
+
+
+def other_pixel_bytes(message: ImageMessage) -> int:
+    """Bytes of a pixel if the rows have more than stated, without padding; 0 if not.
+
+    Pixels so many bytes apart then are more alike than neighbouring bytes.
+    """
+    layout = _layout(message)
+    stated, count = layout.row_bytes(1), message.step // max(message.width, 1)
+    if not stated < count <= _MAX_PIXEL_BYTES or message.step != count * message.width:
+        return 0
+    whole = len(message.data) // message.step * message.step
+    rows = np.frombuffer(message.data, np.uint8, whole).reshape(-1, message.step).astype(np.int16)
+    apart, stated_apart, next_to = (
+        float(np.abs(rows[:, by:] - rows[:, :-by]).mean()) for by in (count, stated, 1)
+    )
+    return count if apart < _MAX_OF_NEXT * min(next_to, stated_apart) else 0
 
 
 def as_other_yuv(message: ImageMessage) -> ImageMessage | None:

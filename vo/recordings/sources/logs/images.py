@@ -21,6 +21,7 @@ from vo.recordings.formats.pixels import (
     depth_pixels,
     grey_pixels,
     has_wrong_step,
+    other_pixel_bytes,
 )
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS
 from vo.recordings.formats.warning_kinds import warning_kind
@@ -137,6 +138,7 @@ def image_factory(log: Log, topic: Topic, entries: Sequence[Entry]) -> Callable[
     ones; may grow.
     """
     if not _has_video(log, topic, entries):
+        _check_pixel_bytes(log, topic, entries)
         order = _order_of_yuv(log, topic, entries)
         return lambda number: MessageImage(log, topic, entries[number], pixel_format=order)
     require("av", extra="video", what="video messages")
@@ -184,6 +186,23 @@ def _order_of_yuv(log: Log, topic: Topic, entries: Sequence[Entry]) -> str:
         return ""
     _log.warning("%s: pixels are not as stated, and read as %s", topic.name, found.pixel_format)
     return found.pixel_format
+
+
+def _check_pixel_bytes(log: Log, topic: Topic, entries: Sequence[Entry]) -> None:
+    for entry in entries[:1]:
+        try:
+            message = topic.codec.decode(log.read(entry))
+            if not isinstance(message, ImageMessage):
+                return
+            count = other_pixel_bytes(message)
+        except SourceError:
+            return
+        if count:
+            raise SourceError(
+                f"{topic.name}: rows have {count} bytes for each pixel, which "
+                f"{message.pixel_format} has not: the encoding is another; write the images again "
+                "with theirs"
+            )
 
 
 def _warn_of_wrong_step(topic: Topic, message: ImageMessage) -> None:
