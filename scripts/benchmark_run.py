@@ -127,8 +127,8 @@ def errors_of(case: Case, out: Path, folder: Path) -> Result:
 
 def _evaluated(estimate: Path, folder: Path, case: Case) -> Any:
     from vo.base.errors import VoError
+    from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.evaluation.inputs import load_inputs
-    from vo.outputs.evaluation.report import evaluate
 
     try:
         inputs = load_inputs(estimate, folder)

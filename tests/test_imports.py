@@ -61,7 +61,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"inertial_path"},
         {"map_updater", "snapshot", "memory", "warmup"},
         {"map_creator"},
-        {"placement"},
+        {"map_alignment"},
         {"recovery"},
         {"stages"},
         {"odometry"},

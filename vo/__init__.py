@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         Trajectory,
     )
     from vo.engine.stages import Components
-    from vo.outputs.evaluation.report import Evaluation
+    from vo.outputs.evaluation.evaluation import Evaluation
     from vo.outputs.recorders.exports import Exports
     from vo.outputs.results.summary import Summary
     from vo.recordings.formats.calibration import Calibration, read_calibration, write_calibration
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from vo.recordings.sources.registry import open_source as open
     from vo.recordings.sources.source import FrameStream, Recording
     from vo.tools.markers.image_markers import Marker, PlanePose
-    from vo.tools.objects.records import FoundObject
+    from vo.tools.objects.stored_objects import FoundObject
     from vo.tools.rendering.render import Rendered, RenderOptions, render
 
 # Where each public name is defined, and its name there; imported when it is first used.
@@ -67,14 +67,14 @@ _DEFINED_IN = {
     "Config": "vo.base.config:Config",
     "ConfigError": "vo.base.errors:ConfigError",
     "Estimate": "vo.base.types:Estimate",
-    "Evaluation": "vo.outputs.evaluation.report:Evaluation",
+    "Evaluation": "vo.outputs.evaluation.evaluation:Evaluation",
     "EvaluationError": "vo.base.errors:EvaluationError",
     "Exports": "vo.outputs.recorders.exports:Exports",
     "Failure": "vo.base.failures:Failure",
     "FailureReason": "vo.base.failures:FailureReason",
     "Fault": "vo.base.faults:Fault",
     "FaultKind": "vo.base.faults:FaultKind",
-    "FoundObject": "vo.tools.objects.records:FoundObject",
+    "FoundObject": "vo.tools.objects.stored_objects:FoundObject",
     "Frame": "vo.base.types:Frame",
     "FrameStream": "vo.recordings.sources.source:FrameStream",
     "InputError": "vo.base.errors:InputError",

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from vo.base.config import load_config
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
-from vo.outputs.evaluation.report import evaluate
 from vo.runs.run_recording import run
 
 

@@ -15,16 +15,16 @@ from typer.testing import CliRunner
 import vo
 from vo.base.config import load_config
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, Floats, Snapshot
 from vo.cli.app import app
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
-from vo.outputs.evaluation.report import evaluate
 from vo.outputs.recorders.exports import Exports
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.run_recording import run
-from vo.runs.scaling.creation import ScaleOptions
 from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
+from vo.runs.scaling.scale_sources import ScaleOptions
 
 FAST = load_config("fast", ["inertial.enabled=false"])
 VALUE, SIGMA = 2.5, 0.05
@@ -42,7 +42,7 @@ class Known:
         self.frames.append(estimate.frame_index)
         assert snapshot().view.image0.ndim == 2
 
-    def measure(self, path: PlacedFrames) -> ScaleFindings:
+    def measure(self, path: PosedFrames) -> ScaleFindings:
         assert set(path.world.tolist()) == {0}
         return self._findings
 

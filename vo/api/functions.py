@@ -11,9 +11,9 @@ from vo.base.config import Config, load_config
 from vo.base.errors import ConfigError
 from vo.base.types import Trajectory
 from vo.outputs.evaluation.alignment import AlignMethod
+from vo.outputs.evaluation.evaluation import Evaluation
+from vo.outputs.evaluation.evaluation import evaluate as evaluate_trajectories
 from vo.outputs.evaluation.inputs import GivenTrajectory, load_inputs
-from vo.outputs.evaluation.report import Evaluation
-from vo.outputs.evaluation.report import evaluate as evaluate_trajectories
 from vo.outputs.results.summary import Summary
 from vo.recordings.sources.source import FrameStream
 from vo.runs.run_recording import run as run_recording

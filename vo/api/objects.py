@@ -15,7 +15,7 @@ from vo.recordings.sources.single_image import read_single_image
 from vo.tools.objects.confidence import THRESHOLD
 from vo.tools.objects.database import DETECTOR
 from vo.tools.objects.database import ObjectDatabase as _Objects
-from vo.tools.objects.records import FoundObject
+from vo.tools.objects.stored_objects import FoundObject
 
 
 class ObjectDatabase:

@@ -90,7 +90,7 @@ def calibrate_command(request: Request) -> None:
 def _calibrate_cameras(request: Request, source: Path, board: Board, output: Path) -> None:
     from vo.cli.calibrate_table import print_result
     from vo.tools.calibrating.advice import warnings_of
-    from vo.tools.calibrating.report import to_dict
+    from vo.tools.calibrating.calibration_figures import to_dict
 
     printing, picture = request.printing, request.picture
     check_outputs([source], output, picture)
@@ -141,7 +141,7 @@ def _calibrate(request: Request, path: Path, board: Board) -> CalibrationResult:
 
 def _write(result: CalibrationResult, output: Path, picture: Path | None) -> None:
     from vo.recordings.formats.calibration import write_calibration
-    from vo.tools.calibrating.report import comments
+    from vo.tools.calibrating.calibration_figures import comments
 
     if picture is not None:
         from vo.tools.calibrating.plots import save_plot

@@ -15,7 +15,12 @@ from vo.base.printable import counted
 from vo.cli.console import print_table, standard_output
 from vo.tools.calibrating.advice import coverage, tilts_deg, warnings_of
 from vo.tools.calibrating.calibrate import CalibrationResult
-from vo.tools.calibrating.report import baseline, camera_parameters, camera_rms_px, epipolar_rms_px
+from vo.tools.calibrating.calibration_figures import (
+    baseline,
+    camera_parameters,
+    camera_rms_px,
+    epipolar_rms_px,
+)
 
 
 def print_result(

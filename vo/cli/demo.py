@@ -18,8 +18,8 @@ from vo.cli.echo import echo_json
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from vo.outputs.evaluation.evaluation import Evaluation
     from vo.outputs.evaluation.inputs import Inputs
-    from vo.outputs.evaluation.report import Evaluation
     from vo.outputs.results.summary import Summary
 
 
@@ -92,8 +92,8 @@ def _run(sequence: Path, results: Path, rrd: Path, errors: Console) -> Summary:
 
 
 def _evaluate(results: Path, sequence: Path) -> tuple[Inputs, Evaluation]:
+    from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.evaluation.inputs import load_inputs
-    from vo.outputs.evaluation.report import evaluate
 
     inputs = load_inputs(results, sequence)
     return inputs, evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)

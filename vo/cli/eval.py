@@ -10,8 +10,8 @@ from vo.cli import options
 from vo.cli.blocks import argument, option
 
 if TYPE_CHECKING:
+    from vo.outputs.evaluation.evaluation import Evaluation
     from vo.outputs.evaluation.inputs import Inputs
-    from vo.outputs.evaluation.report import Evaluation
 
 # Headings of the options in `--help`, besides those in `options`.
 _PAIRING, _METRICS = "Association and alignment", "Metrics"
@@ -113,7 +113,7 @@ def eval_command(
     from vo.base.extras import require
     from vo.cli.eval_inputs import read_inputs
     from vo.cli.eval_table import print_evaluation
-    from vo.outputs.evaluation.report import evaluate
+    from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.results.output_paths import is_run_folder, refuse_to_overwrite
 
     read = [path for path in (estimate, reference, calibration) if path and not is_run_folder(path)]

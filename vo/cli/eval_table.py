@@ -11,9 +11,9 @@ from rich.table import Table
 
 from vo.base.printable import counted
 from vo.cli.console import print_table, standard_output
+from vo.outputs.evaluation.evaluation import Evaluation
 from vo.outputs.evaluation.inputs import Inputs
 from vo.outputs.evaluation.pose_errors import PoseErrors, Statistics
-from vo.outputs.evaluation.report import Evaluation
 
 _COLUMNS = ("rmse", "mean", "median", "max")
 

@@ -48,8 +48,8 @@ def info_command(
     from vo.cli.console import standard_error
     from vo.cli.info_table import print_findings, print_report
     from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.tools.inspection.inspection import DEFAULT_IMAGES, inspect
     from vo.tools.inspection.opening import open_leniently
-    from vo.tools.inspection.report import DEFAULT_IMAGES, inspect
 
     refuse_to_overwrite((source, reading.calibration), (picture,))
 

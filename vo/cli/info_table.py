@@ -11,7 +11,7 @@ from rich.markup import escape
 from vo.base.printable import counted
 from vo.cli.console import standard_output
 from vo.tools.inspection.image_records import CameraReport, PairReport
-from vo.tools.inspection.records import (
+from vo.tools.inspection.reports import (
     CalibrationReport,
     Finding,
     ImuMotionReport,

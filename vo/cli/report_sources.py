@@ -12,8 +12,8 @@ from vo.base.errors import EvaluationError, SourceError, VoError
 from vo.base.types import Mode, Trajectory
 from vo.cli.eval_inputs import is_log, truth_of_log
 from vo.outputs.evaluation.association import tracked_part
+from vo.outputs.evaluation.evaluation import Evaluation, evaluate
 from vo.outputs.evaluation.inputs import Inputs, causal_ate_m, inputs_with_own_truth, load_inputs
-from vo.outputs.evaluation.report import Evaluation, evaluate
 from vo.outputs.report.entry import Thumbnail
 from vo.outputs.report.run_folder import RunRecord
 from vo.outputs.report.sections import choose_events, shrink

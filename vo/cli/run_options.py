@@ -17,7 +17,7 @@ from vo.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from vo.runs.scaling.creation import ScaleOptions
+    from vo.runs.scaling.scale_sources import ScaleOptions
 
 # Headings of the options in `--help`, besides those in `options`.
 _SCALE, _VISUALISATION = "Metric scale of one camera", "Visualisation with rerun"
@@ -177,7 +177,7 @@ class Scale:
     @property
     def sources(self) -> ScaleOptions:
         """The same for a run; `--markers` gives the side of all markers, or the file of a map."""
-        from vo.runs.scaling.creation import ScaleOptions
+        from vo.runs.scaling.scale_sources import ScaleOptions
 
         length_m, marker_map = None, None
         if self.markers is not None:

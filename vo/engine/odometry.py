@@ -38,7 +38,7 @@ class Odometry:
 
     Attributes:
         hidden: ratio of the recorded images that masks of the whole run hide, by camera.
-        placement: closes loops and uses an inertial sensor, if it is asked to.
+        map_alignment: closes loops and uses an inertial sensor, if it is asked to.
         networks: model, device and SHA-256 of each network in use.
 
     Args:
@@ -76,7 +76,7 @@ class Odometry:
         self._mapper = stages.mapper
         self._updater = stages.updater
         self._trajectory = stages.trajectory
-        self.placement = stages.placement
+        self.map_alignment = stages.map_alignment
         self._expects_keyframe = True  # whether the next frame probably becomes a keyframe
         self._result: FrameResult | None = None  # of the newest frame
         self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
@@ -112,13 +112,13 @@ class Odometry:
         """Apply the last results of the optimizer; the time by stage that it took."""
         self.update_map()
         self._updater.apply()
-        self.placement.finish(self._map)
+        self.map_alignment.finish(self._map)
         return self.stopwatch.take()
 
     def close(self) -> None:
         """Hand the map to the keyframe store, and end threads and processes."""
         self._map.clear()
-        self.placement.close()
+        self.map_alignment.close()
         self._window_optimizer.close()
         self._preprocessor.close()
 
@@ -152,7 +152,7 @@ class Odometry:
         """Track a frame, and others again where it shows that they were misled or lost."""
         frame = self._preprocess(pending)
         self.update_map()
-        self.placement.begin_frame(frame.index, self._recovery.segment, self._map)
+        self.map_alignment.begin_frame(frame.index, self._recovery.segment, self._map)
         for each in self._recovery.frames(frame):
             self.update_map()
             self._updater.follow(each)

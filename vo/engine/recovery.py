@@ -8,11 +8,11 @@ from vo.base.failures import Failure
 from vo.base.types import Floats, State
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.inertial.prediction import InertialPredictor
+from vo.engine.map_alignment import MapAlignment
 from vo.engine.map_creator import MapCreator
 from vo.engine.map_updater import MapUpdater
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.mapping.tracked_frame import TrackedFrame
-from vo.engine.placement import Placement
 from vo.engine.tracking.frozen_camera import FrozenCamera
 from vo.engine.tracking.rescue import Rescue
 from vo.engine.tracking.tracker import Tracker
@@ -51,7 +51,7 @@ class Recovery:
         rescue: Rescue,
         creator: MapCreator,
         updater: MapUpdater,
-        placement: Placement,
+        map_alignment: MapAlignment,
         policy: LossPolicy,
     ) -> None:
         self.state = State.STARTING
@@ -60,7 +60,7 @@ class Recovery:
         self._rescue = rescue
         self._creator = creator
         self._updater = updater
-        self._placement = placement
+        self._map_alignment = map_alignment
         self._policy = policy
         self._frozen_camera = FrozenCamera(tracker)
         self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
@@ -118,7 +118,7 @@ class Recovery:
         """Go back to before misled frames; whether that was possible."""
         if not misled or not self._updater.forget_from(misled[0], self.segment):
             return False
-        self._placement.forget_from(misled[0].index)
+        self._map_alignment.forget_from(misled[0].index)
         self._creator.restart()
         self.state, self._lost = State.STARTING, []
         return True

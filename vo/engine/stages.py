@@ -35,12 +35,12 @@ from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.inertial.samples import InertialSensor, SampleReader
+from vo.engine.map_alignment import MapAlignment
 from vo.engine.map_creator import MapCreator, StereoInitializer
 from vo.engine.map_updater import MapUpdater
 from vo.engine.mapping.keyframe_store import KeyframeStore
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
-from vo.engine.placement import Placement
 from vo.engine.recovery import LossPolicy, Recovery
 from vo.engine.refinement.calibration_refiner import CalibrationRefiner
 from vo.engine.tracking.keyframe_policy import KeyframeForecast, KeyframePolicy
@@ -99,7 +99,7 @@ class Stages(NamedTuple):
     updater: MapUpdater
     window_optimizer: WindowOptimizer
     trajectory: TrajectoryBuilder
-    placement: Placement
+    map_alignment: MapAlignment
 
 
 def make_stages(
@@ -141,13 +141,13 @@ def make_stages(
     rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
     initializers = _initializers(local_map, mapper, frontend, config, predictor)
     creator = MapCreator(local_map, *initializers, rescue, tracker, updater, trajectory)
-    placement = Placement(memory, inertial)
+    map_alignment = MapAlignment(memory, inertial)
     losses = LossPolicy(config.tracking.recover_frames, predictor)
     policy = _policy(config, is_metric=rig.is_metric)
     return Stages(
         _preprocessor(rectified, frontend, masks, config, threads, second),
         tracker,
-        Recovery(tracker, rescue, creator, updater, placement, losses),
+        Recovery(tracker, rescue, creator, updater, map_alignment, losses),
         rescue,
         creator,
         policy,
@@ -157,7 +157,7 @@ def make_stages(
         updater,
         optimizer,
         trajectory,
-        placement,
+        map_alignment,
     )
 
 

@@ -23,7 +23,7 @@ from vo.outputs.recorders.exports import Exports
 from vo.outputs.recorders.recorder import ImageChoice, Recorder
 from vo.outputs.streaming.sink import PoseSink
 from vo.runs.progress import Progress
-from vo.runs.scaling.creation import ScaleOptions
+from vo.runs.scaling.scale_sources import ScaleOptions
 
 _NAMES: dict[Any, str] = {
     bool: "True or False",

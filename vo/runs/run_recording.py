@@ -38,7 +38,7 @@ from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.inertial_checks import InertialContradiction, Unusable, why_unusable
 from vo.runs.run_options import RunOptions
 from vo.runs.run_session import OpenedRun, RunSession
-from vo.runs.scaling.creation import make_scale_sources
+from vo.runs.scaling.scale_sources import make_scale_sources
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +107,7 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     decided, process = _with_loops(config, options, is_live), options.optimizer_process
     with closing(Odometry(stream.rig, decided, components, process)) as odometry:
         if options.save_map is not None:
-            odometry.placement.check_savable(options.save_map)
+            odometry.map_alignment.check_savable(options.save_map)
         if every > 1 and isinstance(stream, Recording):
             interpolated = InterpolatedFrames(stream.stamps_ns, options.stride, every)
             odometry.trajectory.interpolated = interpolated

@@ -11,8 +11,8 @@ from vo.base.types import Estimate, Snapshot, Trajectory
 from vo.engine.markers.marker_problem import MarkerView
 from vo.engine.trajectory.store import TrajectoryStore
 from vo.outputs.recorders.recorder import Findings, LoopClosures, Recorder
-from vo.runs.scaling.creation import ScaleSources
 from vo.runs.scaling.georeference import write_georeference
+from vo.runs.scaling.scale_sources import ScaleSources
 
 
 class RunScale:

@@ -33,7 +33,7 @@ from vo.runs.progress import NullProgress, Progress
 from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
 from vo.runs.run_summary import summarise_odometry
-from vo.runs.scaling.creation import ScaleSources
+from vo.runs.scaling.scale_sources import ScaleSources
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
@@ -211,7 +211,7 @@ class RunSession:
 
     def _add_contradiction(self, *, is_over: bool) -> None:
         """Begin again without a sensor that contradicts the images, or report it."""
-        use = self._odometry.placement.inertial
+        use = self._odometry.map_alignment.inertial
         can_repeat = isinstance(self._stream, Recording) and not self._options.follow
         if use is not None and use.is_contradiction and can_repeat and not is_over:
             raise InertialContradiction(use)
@@ -261,26 +261,26 @@ class RunSession:
         try:
             if not self._folder.is_finished:
                 self._write_changed()
-                if self._odometry.placement.closed_loops:
+                if self._odometry.map_alignment.closed_loops:
                     self._folder.write_odometry(self._before_loops(in_metres=True))
         finally:
             self._folder.finish()
 
     def _save_map(self) -> None:
         if self._options.save_map is not None:
-            self._odometry.placement.save_map(self._options.save_map, self._opened.public_name)
+            self._odometry.map_alignment.save_map(self._options.save_map, self._opened.public_name)
 
     def _apply_scale(self) -> None:
-        placement = self._odometry.placement
-        self._scale.apply(self._odometry.trajectory, self._folder.path, placement.notes)
+        map_alignment = self._odometry.map_alignment
+        self._scale.apply(self._odometry.trajectory, self._folder.path, map_alignment.notes)
 
     def _finish_recording(self) -> None:
-        placement, store = self._odometry.placement, self._odometry.trajectory
+        map_alignment, store = self._odometry.map_alignment, self._odometry.trajectory
         closures = None
-        if placement.closed_loops:
+        if map_alignment.closed_loops:
             found = (
-                placement.closed_loops,
-                placement.relocalisations,
+                map_alignment.closed_loops,
+                map_alignment.relocalisations,
                 self._before_loops(in_metres=False),
             )
             scales = store.map_scales()
@@ -289,7 +289,7 @@ class RunSession:
 
     def _before_loops(self, *, in_metres: bool) -> Trajectory:
         store = self._odometry.trajectory
-        return self._odometry.placement.path_before_loops(store, in_metres=in_metres)
+        return self._odometry.map_alignment.path_before_loops(store, in_metres=in_metres)
 
     def _output(self, estimate: Estimate, clock: Stopwatch) -> None:
         self._statistics.add(estimate)
@@ -297,7 +297,9 @@ class RunSession:
         with clock.stage("write"):
             self._write(estimate)
         self._scale.observe(estimate, self._odometry.snapshot)
-        self._odometry.placement.see_markers(estimate.frame_index, *self._scale.newest_markers())
+        self._odometry.map_alignment.see_markers(
+            estimate.frame_index, *self._scale.newest_markers()
+        )
         with clock.stage("record"):
             self._recorder.record(estimate, self._odometry.snapshot)
         done = (estimate.frame_index - self._facts.start) // self._facts.stride + 1
@@ -346,7 +348,7 @@ class RunSession:
             profile=self._profile(),
             live=self._live_state(),
             scale=self._scale.findings,
-            inertial=self._odometry.placement.inertial or self._opened.unused_imu,
+            inertial=self._odometry.map_alignment.inertial or self._opened.unused_imu,
         )
         record, flags = summary.to_dict(), self._options.flags
         record["warnings"] = [with_flags(text, flags) for text in record["warnings"]]

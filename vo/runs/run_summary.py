@@ -13,15 +13,15 @@ def summarise_odometry(
     odometry: Odometry, facts: RunFacts, status: Status, statistics: RunStatistics, **found: Any
 ) -> Summary:
     """Summary of a run so far; `found` are its fields that the odometry does not know."""
-    path, placement = odometry.trajectory, odometry.placement
+    path, map_alignment = odometry.trajectory, odometry.map_alignment
     known = {
         "keyframes": path.keyframe_count,
         "hidden": odometry.hidden,
-        "loops": placement.closed_loops,
-        "relocalisations": placement.relocalisations,
-        "map": placement.map_use,
+        "loops": map_alignment.closed_loops,
+        "relocalisations": map_alignment.relocalisations,
+        "map": map_alignment.map_use,
         "networks": odometry.networks,
-        "inertial": placement.inertial,
+        "inertial": map_alignment.inertial,
     }
     errors = odometry.calibration_errors
     return summarise(facts, status, statistics, path.path(), errors, **{**known, **found})

@@ -14,7 +14,7 @@ from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.types import Bytes, Frame
 from vo.engine.frontend.frontend import make_frontend
 from vo.engine.frontend.pair_matching import PairMatcher, View
-from vo.engine.frontend.time_offset import TimeOffsetEstimator
+from vo.engine.frontend.stereo_time_offset import TimeOffsetEstimator
 from vo.recordings.sources.registry import open_source
 
 CONFIG = Config()

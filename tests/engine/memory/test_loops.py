@@ -167,12 +167,12 @@ def test_loops_of_frames_that_are_tracked_anew_are_forgotten(rounds: Path) -> No
     with closing(Odometry(source.rig, config)) as odometry:
         for _ in odometry.track_all(source.frames(0, END)):
             pass
-        first = odometry.placement.closed_loops[0].frame + 1
+        first = odometry.map_alignment.closed_loops[0].frame + 1
         odometry._map.clear_corrected()
         odometry.trajectory.remove_from(first)
-        odometry.placement.forget_from(first)
-        odometry.placement.finish(odometry._map)
-        assert [loop.frame for loop in odometry.placement.closed_loops] == [first - 1]
+        odometry.map_alignment.forget_from(first)
+        odometry.map_alignment.finish(odometry._map)
+        assert [loop.frame for loop in odometry.map_alignment.closed_loops] == [first - 1]
 
 
 @pytest.mark.parametrize(

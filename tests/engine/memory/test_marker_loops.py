@@ -14,7 +14,7 @@ from vo.base.geometry.transforms import inverse
 from vo.engine.geometry import sim3
 from vo.engine.places.records import Loop, PlaceKey
 from vo.recordings.formats.trajectory import read_tum
-from vo.runs.scaling.creation import ScaleOptions
+from vo.runs.scaling.scale_sources import ScaleOptions
 
 
 @pytest.mark.parametrize("is_metric", [True, False])

@@ -20,7 +20,7 @@ from vo.cli.app import app
 from vo.engine.maps.map_file import MapFile
 from vo.engine.maps.markers import at_keyframes
 from vo.recordings.formats.trajectory import read_tum
-from vo.runs.scaling.creation import ScaleOptions
+from vo.runs.scaling.scale_sources import ScaleOptions
 from vo.tools.maps.contents import map_contents
 
 MARKERS = ScaleOptions(marker_length_m=LENGTH_M)

@@ -173,8 +173,8 @@ def test_xfeat_tracks_the_cabinet_where_orb_cannot(tmp_path: Path) -> None:
     """Frames 14 to 29 of a sequence almost without texture, at 1.5 Hz."""
     from vo.engine.learned.catalog import find_model
     from vo.engine.learned.files import require_model
+    from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.evaluation.inputs import load_inputs
-    from vo.outputs.evaluation.report import evaluate
     from vo.runs.run_recording import run
 
     if not CABINET.is_dir():

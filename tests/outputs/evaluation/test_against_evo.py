@@ -11,8 +11,8 @@ import pytest
 
 from vo.base.types import Trajectory
 from vo.outputs.evaluation.association import nearest_pairs
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.pose_errors import Statistics
-from vo.outputs.evaluation.report import evaluate
 from vo.recordings.formats.trajectory import read_trajectory
 
 MakeWalk = Callable[..., Trajectory]

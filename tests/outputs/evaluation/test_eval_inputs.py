@@ -8,8 +8,8 @@ import pytest
 
 from vo.base.errors import CalibrationError, EvaluationError, SourceError
 from vo.base.geometry.transforms import quat_xyzw_from_rotation, se3_exp
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
-from vo.outputs.evaluation.report import evaluate
 
 TUM = "".join(f"{i}.5 {i} {i * i} 0 0 0 0 1\n" for i in range(6))
 KITTI = "".join(f"1 0 0 {i} 0 1 0 {i * i} 0 0 1 0\n" for i in range(6))

@@ -9,8 +9,8 @@ import pytest
 
 from vo.base.errors import OutputError
 from vo.base.types import Trajectory
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.plots import draw, save_plot
-from vo.outputs.evaluation.report import evaluate
 
 MakeWalk = Callable[..., Trajectory]
 

@@ -9,8 +9,8 @@ import pytest
 from vo.base.errors import EvaluationError
 from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Trajectory
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.pose_errors import pairs_over_metres, rotation_angles_deg
-from vo.outputs.evaluation.report import evaluate
 
 MakeWalk = Callable[..., Trajectory]
 

@@ -15,8 +15,8 @@ from run_changes import change_summary
 from typer.testing import CliRunner
 
 from vo.cli.app import app
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
-from vo.outputs.evaluation.report import evaluate
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.markup import duration, length, number, percentage
 from vo.outputs.report.run_folder import read_run

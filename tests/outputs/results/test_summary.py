@@ -14,7 +14,7 @@ from vo.base.records.calibration_errors import CalibrationErrors, LensError
 from vo.base.records.closed_loops import ClosedLoop, MapUse
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, KeyframePose, Skipped, State, Trajectory
 from vo.outputs.results.live_summary import Delay, LiveState
 from vo.outputs.results.run_statistics import RunStatistics
@@ -61,7 +61,7 @@ def facts(mode: str = "stereo") -> RunFacts:
     return RunFacts("data", "kitti", mode, True, 0, 0, 100, 1, 100)  # type: ignore[arg-type]
 
 
-def path_of(frames: Sequence[int], segments: Sequence[int] | None = None) -> PlacedFrames:
+def path_of(frames: Sequence[int], segments: Sequence[int] | None = None) -> PosedFrames:
     """A camera that moves 2 a frame along x."""
     poses = np.tile(np.eye(4), (len(frames), 1, 1))
     poses[:, 0, 3] = 2.0 * np.array(frames)
@@ -69,12 +69,12 @@ def path_of(frames: Sequence[int], segments: Sequence[int] | None = None) -> Pla
     stamps_ns = np.array(frames, np.int64) * 10**8
     no = np.zeros(len(frames), dtype=bool)
     trajectory = Trajectory(stamps_ns, poses)
-    return PlacedFrames(np.array(frames, np.int64), segment, segment, no, no, trajectory)
+    return PosedFrames(np.array(frames, np.int64), segment, segment, no, no, trajectory)
 
 
 def summary_of(
     estimates: Sequence[Estimate],
-    poses: PlacedFrames,
+    poses: PosedFrames,
     skipped: Sequence[Skipped] = (),
     mode: str = "stereo",
     offset_px: float = 0.0,

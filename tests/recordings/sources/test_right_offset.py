@@ -16,8 +16,8 @@ from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.listing import Shot
 from vo.recordings.sources.pairing import constant_offset_ns
 from vo.recordings.sources.registry import open_source
+from vo.tools.inspection.inspection import inspect
 from vo.tools.inspection.opening import open_leniently
-from vo.tools.inspection.report import inspect
 
 MS = 1_000_000
 LEFT = np.arange(40) * 50 * MS + 1_700_000_000 * 10**9

@@ -14,8 +14,8 @@ from vo.base.errors import ConfigError
 from vo.base.geometry.transforms import so3_exp
 from vo.base.types import Floats
 from vo.runs.run_recording import run
-from vo.runs.scaling.creation import ScaleOptions
 from vo.runs.scaling.ground import find_ground
+from vo.runs.scaling.scale_sources import ScaleOptions
 
 FORWARD = np.array([0.0, 0.0, 1.0])
 

@@ -11,7 +11,7 @@ import pytest
 
 from vo.base.errors import SourceError
 from vo.base.geometry.transforms import so3_exp
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats, Trajectory
 from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.runs.scaling.georeference import write_georeference
@@ -31,7 +31,7 @@ def true_m(seconds: Floats) -> Floats:
     return np.column_stack([along * np.cos(0.3 * heading), 0.0 * along, 20.0 * np.sin(heading)])
 
 
-def drive(seconds: float = 20.0, worlds: int = 1) -> PlacedFrames:
+def drive(seconds: float = 20.0, worlds: int = 1) -> PosedFrames:
     """A path at 10 Hz in units of its map; each world begins anew."""
     times = np.arange(0.0, seconds, 0.1)
     poses = np.tile(np.eye(4), (len(times), 1, 1))
@@ -40,7 +40,7 @@ def drive(seconds: float = 20.0, worlds: int = 1) -> PlacedFrames:
     stamps_ns = START_NS + (times * 1e9).astype(np.int64)
     nothing = np.zeros(len(times), bool)
     frames = np.arange(len(times))
-    return PlacedFrames(frames, world, world, nothing, nothing, Trajectory(stamps_ns, poses))
+    return PosedFrames(frames, world, world, nothing, nothing, Trajectory(stamps_ns, poses))
 
 
 def gps(
@@ -111,7 +111,7 @@ def test_lengths_of_a_path_in_metres_are_compared() -> None:
     path = drive()
     poses = path.trajectory.world_from_cam.copy()
     poses[:, :3, 3] *= UNIT_M * 1.05
-    metric = PlacedFrames(
+    metric = PosedFrames(
         path.frame_index,
         path.segment,
         path.world,
@@ -160,11 +160,11 @@ def test_an_antenna_beside_the_camera_does_not_bend_the_path(is_metric: bool) ->
     path = poses.copy()
     path[:, :3, 3] /= 1.0 if is_metric else UNIT_M
     zero, no = np.zeros(60, np.int64), np.zeros(60, bool)
-    frames = PlacedFrames(np.arange(60), zero, zero, no, no, Trajectory(stamps_ns, path))
+    frames = PosedFrames(np.arange(60), zero, zero, no, no, Trajectory(stamps_ns, path))
     source = PositionSource(positions, is_metric=is_metric, lever_arm_m=arm.tolist())
     findings = source.measure(frames)
-    (placement,) = source.placements
-    np.testing.assert_allclose(placement.place(poses[:, :3, 3]), poses[:, :3, 3], atol=1e-3)
+    (alignment,) = source.alignments
+    np.testing.assert_allclose(alignment.transform(poses[:, :3, 3]), poses[:, :3, 3], atol=1e-3)
     if is_metric:
         assert findings.notes == ()
         return
@@ -181,7 +181,7 @@ def winding_m(seconds: Floats) -> Floats:
     )
 
 
-def winding_path(seconds: float = 20.0) -> PlacedFrames:
+def winding_path(seconds: float = 20.0) -> PosedFrames:
     path = drive(seconds)
     times = 1e-9 * (path.trajectory.stamps_ns - START_NS)
     path.trajectory.world_from_cam[:, :3, 3] = winding_m(times) @ ROTATION / UNIT_M

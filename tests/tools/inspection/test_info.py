@@ -19,9 +19,9 @@ from vo.base.types import Bytes
 from vo.cli.app import app
 from vo.recordings.formats.foxglove import FOXGLOVE
 from vo.recordings.formats.messages import ImageMessage
+from vo.tools.inspection.inspection import inspect
 from vo.tools.inspection.opening import open_leniently
-from vo.tools.inspection.records import Finding, Report
-from vo.tools.inspection.report import inspect
+from vo.tools.inspection.reports import Finding, Report
 
 
 def report_of(path: Path, images: int | None = 8) -> Report:

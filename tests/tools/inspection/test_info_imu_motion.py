@@ -13,9 +13,9 @@ import yaml
 from vo.base.geometry.transforms import so3_exp
 from vo.base.types import Floats, Ints
 from vo.tools.inspection.inertial import saturated
+from vo.tools.inspection.inspection import inspect
 from vo.tools.inspection.opening import open_leniently
-from vo.tools.inspection.records import ImuReport, Report
-from vo.tools.inspection.report import inspect
+from vo.tools.inspection.reports import ImuReport, Report
 
 HALL = Path(__file__).parents[3] / ".." / "shared" / "data" / "rendered_hall_stereo"
 Change = Callable[[Ints, Floats], tuple[Ints, Floats]]

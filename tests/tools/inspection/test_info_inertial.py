@@ -21,9 +21,9 @@ from vo.cli.app import app
 from vo.recordings.formats.messages import ImuMessage
 from vo.recordings.formats.ros2 import ROS2
 from vo.tools.inspection.inertial import imu_findings
+from vo.tools.inspection.inspection import inspect
 from vo.tools.inspection.opening import open_leniently
-from vo.tools.inspection.records import ImuReport, Report
-from vo.tools.inspection.report import inspect
+from vo.tools.inspection.reports import ImuReport, Report
 
 IMU, TEXT = "sensor_msgs/msg/Imu", "std_msgs/msg/String"
 START_NS = 1_700_000_000_000_000_000

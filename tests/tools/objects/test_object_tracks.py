@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.tools.objects.records import FoundObject
+from vo.tools.objects.stored_objects import FoundObject
 from vo.tools.objects.tracks import ObjectTracker
 
 

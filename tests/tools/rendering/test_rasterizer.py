@@ -8,7 +8,7 @@ from vo.base.geometry import cameras
 from vo.base.types import Camera
 from vo.recordings.formats.mesh import Mesh
 from vo.tools.rendering.rasterizer import draw, shading
-from vo.tools.rendering.render import Placement, axes, placed, standing
+from vo.tools.rendering.render import ModelPose, axes, posed, standing
 
 CAMERA = Camera(80, 60, 50.0, 50.0, 39.5, 29.5)
 GREY = np.full((60, 80, 3), 100, np.uint8)
@@ -63,12 +63,12 @@ def test_the_model_stands_on_its_place() -> None:
     for up, top in (("y", 1), ("z", 2)):
         for world_up, height in (("-y", lambda xyz: 2.0 - xyz[:, 1]), ("z", lambda xyz: xyz[:, 2])):
             foot = np.array([1.0, 2.0, 0.0])
-            placement = Placement(foot, 0.5, up, world_up)
-            vertices = placed(standing(model, placement), placement)
+            model_pose = ModelPose(foot, 0.5, up, world_up)
+            vertices = posed(standing(model, model_pose), model_pose)
             assert np.isclose(np.ptp(vertices, axis=0).max(), 0.5)
             assert np.isclose(height(vertices).min(), 0.0)
             assert model.vertices[height(vertices).argmax(), top] == 1.0
-    own = standing(model, Placement(np.zeros(3), None, "-y"))
+    own = standing(model, ModelPose(np.zeros(3), None, "-y"))
     assert np.isclose(np.ptp(own, axis=0).max(), 1.03)
     shade = shading(own, model.triangles)
     assert 0.4 < shade.min() < shade.max() <= 1.0

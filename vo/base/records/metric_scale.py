@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, Snapshot
 
 _MAX_DISAGREEMENT = 3.0  # of two sources, in standard deviations
@@ -82,7 +82,7 @@ class ScaleSource(Protocol):
     def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
         """After each frame; `snapshot` takes time and can only be called before this returns."""
 
-    def measure(self, path: PlacedFrames) -> ScaleFindings:
+    def measure(self, path: PosedFrames) -> ScaleFindings:
         """After the last frame: scales of the worlds of the final path, in units of the map."""
 
 

@@ -26,7 +26,7 @@ from vo.engine.frontend.pair_check import PairCheck
 from vo.engine.frontend.pair_matching import View
 from vo.engine.frontend.recent_frames import RecentFrames, RecordedFrame
 from vo.engine.frontend.static_masks import StaticMasks
-from vo.engine.frontend.time_offset import TimeOffsetEstimator
+from vo.engine.frontend.stereo_time_offset import TimeOffsetEstimator
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vo.base.geometry.transforms import inverse, whole_transforms
 from vo.base.records.metric_scale import MetricScale
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats, Ints, KeyframePose, Trajectory
 from vo.engine.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
 from vo.engine.trajectory.interpolation import InterpolatedFrames, fill
@@ -292,7 +292,7 @@ class TrajectoryStore:
         keyframes = self.keyframes(row)
         return with_inertial(keyframes, self._inertial) if self._inertial else keyframes
 
-    def path(self, row: int = 0) -> PlacedFrames:
+    def path(self, row: int = 0) -> PosedFrames:
         """All frames with their current poses, from a row on."""
         frames = self.frames[row:]
         rows = self._keyframe_rows(frames["keyframe"])
@@ -303,7 +303,7 @@ class TrajectoryStore:
         numbers, inverted = np.unique(segment, return_inverse=True)
         world = np.array([self.world(n) for n in numbers.tolist()], np.int64)[inverted]
         trajectory = self.trajectory(row)
-        return PlacedFrames(
+        return PosedFrames(
             *(frame_index, segment, world, is_keyframe & (inertial == 0)),
             *(interpolated, trajectory, inertial.astype(np.int64)),
         )

@@ -13,7 +13,7 @@ from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
 from vo.base.types import Mode, Trajectory
 from vo.outputs.evaluation.association import frame_numbers, predicted, segment_numbers
-from vo.outputs.evaluation.report import evaluate
+from vo.outputs.evaluation.evaluation import evaluate
 from vo.recordings.formats.calibration import Calibration, read_calibration
 from vo.recordings.formats.euroc_layout import find_camera_on_body
 from vo.recordings.formats.trajectory import detect_format, has_stamps, read_trajectory

@@ -12,7 +12,7 @@ from vo.base.extras import require
 from vo.base.files.complete_file import writing
 from vo.base.printable import printable
 from vo.base.types import Floats, Trajectory
-from vo.outputs.evaluation.report import Evaluation
+from vo.outputs.evaluation.evaluation import Evaluation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

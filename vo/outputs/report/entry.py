@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.base.types import Bytes, Floats, Ints, Trajectory
-from vo.outputs.evaluation.report import Evaluation
+from vo.outputs.evaluation.evaluation import Evaluation
 from vo.outputs.report.run_folder import RunRecord
 
 _NS_PER_S = 1e9

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from vo.base.printable import counted
-from vo.outputs.evaluation.report import Evaluation
+from vo.outputs.evaluation.evaluation import Evaluation
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.markup import duration, length, number, percentage
 from vo.outputs.results.verdict import Grade, VerdictFacts, assess

@@ -14,7 +14,7 @@ from vo.base.records.calibration_errors import CalibrationErrors, LensError, Rig
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, WorldFrame, has_all_scales
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Ints, Skipped, State
 from vo.outputs.results.environment import peak_rss_mb, versions
 from vo.outputs.results.live_summary import LiveState, delay_of
@@ -207,7 +207,7 @@ def summarise(
     facts: RunFacts,
     status: Status,
     statistics: RunStatistics,
-    path: PlacedFrames,
+    path: PosedFrames,
     calibration: CalibrationErrors,
     *,
     live: LiveState | None = None,
@@ -261,7 +261,7 @@ def summarise(
     )
 
 
-def _posed(path: PlacedFrames) -> dict[str, Any]:
+def _posed(path: PosedFrames) -> dict[str, Any]:
     """Numbers of frames with a pose, by where it comes from."""
     interpolated = int(path.interpolated.sum())
     inertial = 0 if path.inertial is None else int(np.count_nonzero(path.inertial))
@@ -283,7 +283,7 @@ def _untracked(facts: RunFacts, status: Status, statistics: RunStatistics) -> In
     return np.asarray(requested[np.arange(len(requested)) % facts.every != 0])
 
 
-def _segments(path: PlacedFrames) -> list[Segment]:
+def _segments(path: PosedFrames) -> list[Segment]:
     steps = np.linalg.norm(np.diff(path.trajectory.positions, axis=0), axis=1)
     steps[np.diff(path.segment) != 0] = 0.0  # the way between segments is unknown
     segments = []

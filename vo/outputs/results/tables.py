@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, KeyframePose
 
 POSES_HEADING = "frame,stamp_ns,segment,keyframe,interpolated,tx,ty,tz,qx,qy,qz,qw"
 
 
-def pose_lines(placed: PlacedFrames, fields: Sequence[Sequence[str]]) -> Iterator[str]:
+def pose_lines(placed: PosedFrames, fields: Sequence[Sequence[str]]) -> Iterator[str]:
     """Rows under `POSES_HEADING`; `interpolated` is 2, 3 for poses by an inertial sensor.
 
     `fields`: numbers of each pose as in a TUM file

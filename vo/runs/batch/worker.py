@@ -138,8 +138,8 @@ def _run(job: Job, folder: Path, threads: int, flags: Mapping[str, Flag]) -> Job
 def _errors(job: Job, source: str, folder: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Errors of a `JobResult` by name, empty without ground truth; and remarks."""
     from vo.outputs.evaluation.association import tracked_part
+    from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.evaluation.inputs import causal_ate_m
-    from vo.outputs.evaluation.report import evaluate
     from vo.recordings.formats.trajectory import read_tum
 
     try:

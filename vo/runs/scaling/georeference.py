@@ -9,7 +9,7 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from vo.base.errors import OutputError
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats
 from vo.runs.scaling.geodesy import geodetic_from_enu
 from vo.runs.scaling.position_source import PositionSource
@@ -19,7 +19,7 @@ _DEGREE_DIGITS = 9  # a tenth of a millimetre
 _HEIGHT_DIGITS = 3
 
 
-def write_georeference(folder: Path, path: PlacedFrames, source: PositionSource) -> list[str]:
+def write_georeference(folder: Path, path: PosedFrames, source: PositionSource) -> list[str]:
     """Write `path.geojson` and `path.kml`, one line for each world that could be placed.
 
     Args:
@@ -34,11 +34,11 @@ def write_georeference(folder: Path, path: PlacedFrames, source: PositionSource)
         OutputError: a file cannot be written.
     """
     lines: list[tuple[int, Floats]] = []
-    for placement in source.placements:
-        rows = path.world == placement.segment
-        enu = placement.place(path.trajectory.positions[rows])
-        assert placement.origin is not None
-        lines.append((placement.segment, geodetic_from_enu(enu, placement.origin)))
+    for alignment in source.alignments:
+        rows = path.world == alignment.segment
+        enu = alignment.transform(path.trajectory.positions[rows])
+        assert alignment.origin is not None
+        lines.append((alignment.segment, geodetic_from_enu(enu, alignment.origin)))
     _write(folder / GEOJSON, _geojson(path, lines))
     _write(folder / KML, _kml(lines))
     missing = sorted(set(path.world.tolist()) - {segment for segment, _ in lines})
@@ -48,7 +48,7 @@ def write_georeference(folder: Path, path: PlacedFrames, source: PositionSource)
     return [f"not placed on the globe, and left out of {GEOJSON} and {KML}: segments {numbers}"]
 
 
-def _geojson(path: PlacedFrames, lines: list[tuple[int, Floats]]) -> str:
+def _geojson(path: PosedFrames, lines: list[tuple[int, Floats]]) -> str:
     """One feature a world (RFC 7946: longitude, latitude, height), with stamps of its points."""
     features = [
         {

@@ -9,7 +9,7 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, Floats, Snapshot
 from vo.runs.scaling.ground import find_ground
 
@@ -55,7 +55,7 @@ class HeightSource:
         height = float("nan") if ground is None else ground.height
         self._seen.append(_Seen(estimate.segment, height))
 
-    def measure(self, path: PlacedFrames) -> ScaleFindings:
+    def measure(self, path: PosedFrames) -> ScaleFindings:
         """The scale of each world, in which enough keyframes have seen the ground."""
         worlds = dict(zip(path.segment.tolist(), path.world.tolist(), strict=True))
         scales, notes = [], []

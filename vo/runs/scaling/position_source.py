@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, Floats, Ints, Snapshot
 from vo.recordings.formats.positions import NS_PER_DAY
 from vo.runs.scaling.alternatives import explain
@@ -26,7 +26,7 @@ _REPORTED_RATIO = 0.02  # of positions that are refused
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class PathAlignment:
     """Where a world lies in the frame of the positions.
 
     Attributes:
@@ -42,7 +42,7 @@ class Placement:
     translation: Floats
     origin: Floats | None = None
 
-    def place(self, xyz: Floats) -> Floats:
+    def transform(self, xyz: Floats) -> Floats:
         """Positions (N, 3) of the path in metres, among those of the sensor."""
         return np.asarray(xyz @ self.rotation.T + self.translation)
 
@@ -52,7 +52,7 @@ class PositionSource:
 
     Attributes:
         positions: of the other sensor.
-        placements: after `measure`, one of each world that could be compared.
+        alignments: after `measure`, one of each world that could be compared.
 
     Args:
         positions: of the other sensor.
@@ -69,7 +69,7 @@ class PositionSource:
     ) -> None:
         self.positions = positions
         self._lever_arm_m = np.array(lever_arm_m, np.float64)
-        self.placements: tuple[Placement, ...] = ()
+        self.alignments: tuple[PathAlignment, ...] = ()
         self._is_metric = is_metric
 
     def check_times(self, stamps_ns: Ints) -> None:
@@ -94,22 +94,22 @@ class PositionSource:
     def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
         """Nothing to do: positions are compared with the final path."""
 
-    def measure(self, path: PlacedFrames) -> ScaleFindings:
+    def measure(self, path: PosedFrames) -> ScaleFindings:
         """Fit each world of the path to the positions."""
-        scales, notes, placements = [], [], []
+        scales, notes, alignments = [], [], []
         for segment in sorted(set(path.world.tolist())):
-            scale, note, placement = self._measure(path, segment)
+            scale, note, alignment = self._measure(path, segment)
             notes += note
             if scale is not None:
                 scales.append(scale)
-            if placement is not None:
-                placements.append(placement)
-        self.placements = tuple(placements)
+            if alignment is not None:
+                alignments.append(alignment)
+        self.alignments = tuple(alignments)
         return ScaleFindings(tuple(scales), tuple(notes))
 
     def _measure(
-        self, path: PlacedFrames, segment: int
-    ) -> tuple[MetricScale | None, list[str], Placement | None]:
+        self, path: PosedFrames, segment: int
+    ) -> tuple[MetricScale | None, list[str], PathAlignment | None]:
         rows = path.world == segment
         stamps_ns, xyz = path.trajectory.stamps_ns[rows], path.trajectory.positions[rows]
         arms = path.trajectory.world_from_cam[rows, :3, :3] @ self._lever_arm_m
@@ -133,9 +133,9 @@ class PositionSource:
         notes = _fit_notes(where, fit, offset_s)
         if found.cause:
             notes.insert(0, f"{where}: {found.cause}, which is corrected")
-        placement = Placement(segment, fit.rotation, fit.translation, given.origin)
+        alignment = PathAlignment(segment, fit.rotation, fit.translation, given.origin)
         if self._is_metric:
-            return None, notes + length_notes, placement
+            return None, notes + length_notes, alignment
         fit = fit._replace(sigma=float(np.hypot(fit.sigma, fit.scale * found.slope_sigma)))
         if fit.sigma > MAX_RELATIVE_SIGMA * fit.scale:
             notes.append(
@@ -144,7 +144,7 @@ class PositionSource:
             )
             return None, notes, None
         scale = MetricScale(segment, fit.scale, fit.sigma, self.positions.source)
-        return scale, notes, placement
+        return scale, notes, alignment
 
     def _length_notes(self, fit: PositionFit) -> list[str]:
         """How far the lengths of a path in metres differ from those of the positions."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from vo.tools.calibrating.advice import coverage
 from vo.tools.calibrating.calibrate import CalibrationResult
+from vo.tools.calibrating.calibration_figures import camera_rms_px
 from vo.tools.calibrating.imu_noise import ImuNoiseResult, SensorNoise
-from vo.tools.calibrating.report import camera_rms_px
 from vo.tools.drawing import check_plot, saved_figure
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from vo.base.errors import CalibrationError
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.types import Rig
 from vo.tools.inspection.image_records import CameraReport, StereoReport
-from vo.tools.inspection.records import Finding, LensReport, Report
+from vo.tools.inspection.reports import Finding, LensReport, Report
 
 _USUAL_VIEW_DEG = (15.0, 150.0)
 _USUAL_BASELINE_M = (0.005, 5.0)

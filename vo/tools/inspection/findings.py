@@ -13,10 +13,10 @@ from vo.recordings.formats.warning_kinds import WarningKind
 from vo.tools.inspection.calibration_findings import calibration_findings, stereo_findings
 from vo.tools.inspection.image_records import CameraReport, ImageStatistics
 from vo.tools.inspection.images import frame_ranges
+from vo.tools.inspection.imu_comparison import motion_findings
 from vo.tools.inspection.inertial import imu_findings
-from vo.tools.inspection.inertial_motion import motion_findings
 from vo.tools.inspection.opening import OpenedRecording
-from vo.tools.inspection.records import Finding, Level, Report
+from vo.tools.inspection.reports import Finding, Level, Report
 
 _MIN_GREY = 25.0
 _MAX_BRIGHT = 0.3

@@ -11,7 +11,7 @@ from vo.base.errors import VoError
 from vo.base.types import Floats, Ints
 from vo.recordings.formats.warning_kinds import LoggedWarning, collected_warnings
 from vo.recordings.sources.imu import Imu, ImuSamples
-from vo.tools.inspection.records import Finding, ImuReport
+from vo.tools.inspection.reports import Finding, ImuReport
 
 _GAP = 2.5
 """Shortest interval that counts as a gap, in median intervals."""

@@ -17,7 +17,7 @@ from vo.base.types import Bytes, Floats, Ints, Rig
 from vo.engine.frontend.pair_check import TURNS, disparity_signs
 from vo.engine.frontend.pair_matching import PairPoints
 from vo.engine.frontend.same_view import is_same_view
-from vo.engine.frontend.time_offset import TimeOffsetEstimator
+from vo.engine.frontend.stereo_time_offset import TimeOffsetEstimator
 from vo.engine.geometry.right_camera_error import is_worth_correcting, right_camera_error
 from vo.tools.inspection.image_records import StereoReport
 

@@ -12,7 +12,7 @@ from vo.base.geometry.cameras import normalise
 from vo.base.geometry.transforms import inverse
 from vo.base.printable import counted
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
-from vo.base.records.placed_frames import PlacedFrames
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.records.seen_markers import MarkerOutline, MarkerSquare, SeenMarkers
 from vo.base.types import Camera, Estimate, Snapshot, View
 from vo.engine.markers.dictionaries import AUTO, dictionary_name, smallest_containing
@@ -111,7 +111,7 @@ class MarkerSource:
                 self._add(estimate, view, camera, marker)
         self.newest = self._views[before:], repeated
 
-    def measure(self, path: PlacedFrames) -> ScaleFindings:
+    def measure(self, path: PosedFrames) -> ScaleFindings:
         """The scales of all worlds with a marker that was seen from enough sides."""
         notes = [
             f"marker {number} is seen more than once in a frame; such views are not used: give "

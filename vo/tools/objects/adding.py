@@ -17,7 +17,6 @@ from vo.tools.objects.appearance import thumbnail_of
 from vo.tools.objects.confidence import THRESHOLD, flat_confidence
 from vo.tools.objects.flat_verification import FlatInstance, flat_instances
 from vo.tools.objects.part_matching import match_part, part_vectors
-from vo.tools.objects.records import Part, StoredObject
 from vo.tools.objects.scene_features import (
     SceneFeatures,
     codes,
@@ -26,6 +25,7 @@ from vo.tools.objects.scene_features import (
     strongest_of_each_size,
     unit_vectors,
 )
+from vo.tools.objects.stored_objects import Part, StoredObject
 from vo.tools.pairs.simple_motions import inverse_matrix
 
 MIN_SIDE_PX = 48

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from vo.base.types import Bytes, Floats
-from vo.tools.objects.records import Part
+from vo.tools.objects.stored_objects import Part
 
 THUMBNAIL_PX = 128  # longer side
 _CELL_PX = 16  # of the thumbnail

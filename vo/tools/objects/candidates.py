@@ -20,8 +20,8 @@ from vo.base.compiling.function import NO_REFCOUNT, compiled
 from vo.base.types import Floats, Floats32, Ints
 from vo.engine.frontend.hamming_kernels import hamming
 from vo.tools.objects.agreement import largest_agreements, moves
-from vo.tools.objects.records import Codes
 from vo.tools.objects.scene_features import CODE_BITS
+from vo.tools.objects.stored_objects import Codes
 
 MAX_CANDIDATES = 20
 _TABLES = 16

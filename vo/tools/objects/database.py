@@ -24,7 +24,6 @@ from vo.tools.objects.confidence import THRESHOLD, flat_confidence
 from vo.tools.objects.database_file import FileContents, read_objects, write_objects
 from vo.tools.objects.flat_verification import FlatInstance, flat_instances
 from vo.tools.objects.part_matching import PartMatches, PartVectors, match_part, part_vectors
-from vo.tools.objects.records import FoundObject, Part, StoredObject
 from vo.tools.objects.scene_features import (
     SceneFeatures,
     codes,
@@ -32,6 +31,7 @@ from vo.tools.objects.scene_features import (
     scene_extractor,
     stored_extractor,
 )
+from vo.tools.objects.stored_objects import FoundObject, Part, StoredObject
 from vo.tools.objects.tracks import without_overlaps
 
 DETECTOR = "sift"

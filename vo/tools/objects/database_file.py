@@ -20,7 +20,7 @@ from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_bytes
 from vo.base.files.complete_file import complete_file
 from vo.base.types import Floats32
-from vo.tools.objects.records import Part, StoredObject
+from vo.tools.objects.stored_objects import Part, StoredObject
 
 _MAGIC = b"vo-objs\n"
 _VERSION = 1

@@ -17,8 +17,8 @@ from vo.base.types import Bools, Bytes, Floats, Floats32, Ints
 from vo.engine.geometry.epipolar import transferred
 from vo.tools.objects.appearance import likeness
 from vo.tools.objects.part_matching import PartMatches, PartVectors, common_motion
-from vo.tools.objects.records import Part
 from vo.tools.objects.scene_features import SceneFeatures
+from vo.tools.objects.stored_objects import Part
 from vo.tools.pairs.sampson import point_errors
 
 MIN_INLIERS = 5

@@ -9,8 +9,8 @@ import numpy as np
 from vo.base.compiling.function import compiled
 from vo.base.types import Bools, Floats, Floats32, Ints
 from vo.tools.objects.agreement import best_agreement, moves
-from vo.tools.objects.records import Part
 from vo.tools.objects.scene_features import SceneFeatures, unit_vectors
+from vo.tools.objects.stored_objects import Part
 
 _SAME_PLACE = 0.015  # of the size of a part: features so near to each other are of one place
 _MAX_RATIO = 0.72  # of squared distances of the nearest and the nearest of another place

@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.base.types import Bytes, Floats
 from vo.tools.drawing import check_picture, write_picture
-from vo.tools.objects.records import FoundObject
+from vo.tools.objects.stored_objects import FoundObject
 
 _COLOURS = ((60, 200, 60), (40, 140, 255), (230, 120, 40), (200, 60, 200), (40, 210, 230))
 _REACH = 4.0  # outlines are drawn up to so many image sizes away

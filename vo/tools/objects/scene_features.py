@@ -13,7 +13,7 @@ from vo.base.settings import validate
 from vo.base.types import Bytes, Descriptors, Floats32, Ints, Keypoints
 from vo.engine.features.extractor import make_extractor
 from vo.engine.frontend.contracts import FeatureExtractor
-from vo.tools.objects.records import Codes
+from vo.tools.objects.stored_objects import Codes
 
 SCENE_COUNT = 8000  # of an image that is searched: an object may be a small part of it
 STORED_COUNT, _STORED_OF_SIZE = 3000, 300  # of a stored image: found, and kept of each size

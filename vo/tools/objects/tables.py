@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
 from vo.base.printable import spreadsheet_row
-from vo.tools.objects.records import FoundObject, StoredObject
+from vo.tools.objects.stored_objects import FoundObject, StoredObject
 from vo.tools.objects.tracks import Track
 
 _HEADING = (

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from vo.base.types import Floats
-from vo.tools.objects.records import FoundObject
+from vo.tools.objects.stored_objects import FoundObject
 
 _SAME_OBJECT, _OTHER_OBJECT = 0.2, 0.5  # overlap from which two reports exclude each other
 

@@ -33,7 +33,7 @@ _Z_UP_FROM_Y_DOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class ModelPose:
     """Where a model stands."""
 
     foot: Floats  # (3,) middle of its underside in the world
@@ -58,21 +58,21 @@ def axes() -> Mesh:
     return Mesh(np.concatenate(vertices), np.array(triangles, np.int64), np.array(rgb, np.uint8))
 
 
-def standing(mesh: Mesh, placement: Placement) -> Floats:
+def standing(mesh: Mesh, model_pose: ModelPose) -> Floats:
     """Vertices (V, 3) of a model on the origin, y down."""
-    vertices = mesh.vertices @ _UP[placement.up].T
+    vertices = mesh.vertices @ _UP[model_pose.up].T
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     extent = float((high - low).max())
-    factor = 1.0 if placement.size is None or extent == 0.0 else placement.size / extent
+    factor = 1.0 if model_pose.size is None or extent == 0.0 else model_pose.size / extent
     foot = np.array([0.5 * (low[0] + high[0]), high[1], 0.5 * (low[2] + high[2])])
     return np.asarray((vertices - foot) * factor)
 
 
-def placed(vertices: Floats, placement: Placement) -> Floats:
+def posed(vertices: Floats, model_pose: ModelPose) -> Floats:
     """A standing model (V, 3) at its place in the world."""
-    if placement.world_up == "z":
+    if model_pose.world_up == "z":
         vertices = vertices @ _Z_UP_FROM_Y_DOWN.T
-    return np.asarray(vertices + placement.foot)
+    return np.asarray(vertices + model_pose.foot)
 
 
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -148,16 +148,16 @@ def render(
     record = read_run(folder)
     poses = _poses(folder / "poses.csv")
     stream = _recording(record)
-    placement, segment = _placement(poses, options, record)
+    model_pose, segment = _model_pose(poses, options, record)
     frames = sorted(poses) if options.frame is None else [options.frame]
     if options.frame is not None and options.frame not in poses:
         raise ConfigError(f"frame {options.frame} has no pose in {folder}; choose another `frame`")
     if is_picture:
         frames = frames[:1]
-    painter = _Painter(mesh, placement, segment, stream.rig.cam0)
+    painter = _Painter(mesh, model_pose, segment, stream.rig.cam0)
     images = painter.images(stream, frames, poses)
     count = _write_picture(target, images) if is_picture else _write_video(target, images, stream)
-    x, y, z = (float(value) for value in placement.foot)
+    x, y, z = (float(value) for value in model_pose.foot)
     return Rendered(target, count, painter.with_model, (x, y, z), record.unit)
 
 
@@ -195,9 +195,9 @@ def _recording(record: RunRecord) -> Recording:
     )
 
 
-def _placement(
+def _model_pose(
     poses: dict[int, _Pose], options: RenderOptions, record: RunRecord
-) -> tuple[Placement, int]:
+) -> tuple[ModelPose, int]:
     """Where the model stands, and the segment whose world that is."""
     first = min(poses)
     frame, distance = options.in_front or (first, _DISTANCE_RATIO * _path_length(poses, first))
@@ -215,7 +215,7 @@ def _placement(
     size = _SIZE_RATIO * distance if options.size is None else options.size
     inertial = record.summary.get("inertial") or {}
     world_up = "z" if segment in inertial.get("metric_worlds", ()) else "-y"
-    return Placement(foot, size, options.up, world_up), segment
+    return ModelPose(foot, size, options.up, world_up), segment
 
 
 def _path_length(poses: dict[int, _Pose], first: int) -> float:
@@ -228,11 +228,11 @@ def _path_length(poses: dict[int, _Pose], first: int) -> float:
 class _Painter:
     """Draws a model into images; those of other segments stay as they are."""
 
-    def __init__(self, mesh: Mesh, placement: Placement, segment: int, camera: Camera) -> None:
+    def __init__(self, mesh: Mesh, model_pose: ModelPose, segment: int, camera: Camera) -> None:
         self.with_model = 0
         self._mesh, self._segment, self._camera = mesh, segment, camera
-        vertices = standing(mesh, placement)
-        self._vertices = placed(vertices, placement)
+        vertices = standing(mesh, model_pose)
+        self._vertices = posed(vertices, model_pose)
         self._shade = shading(vertices, mesh.triangles)
 
     def images(

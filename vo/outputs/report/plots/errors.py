@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from vo.base.types import Floats
+from vo.outputs.evaluation.evaluation import Evaluation
 from vo.outputs.evaluation.pose_errors import PoseErrors, path_distances
-from vo.outputs.evaluation.report import Evaluation
 from vo.outputs.report.entry import Entry, gaps
 from vo.outputs.report.markup import length_scale
 from vo.outputs.report.plots.style import INK, broken, colour, dash, new_figure, shade, thin

@@ -26,7 +26,7 @@ from vo.recordings.formats.calibration.numbers import make_numbers
 _LINE = re.compile(r"^[ \t]*(P[0-3])[ \t]*:[ \t]*([-+\d.nNiI].*)$", re.MULTILINE)
 _RAW_LINE = re.compile(r"^[ \t]*([A-Z](?:_rect)?_0[0-3])[ \t]*:(.*)$", re.MULTILINE)
 
-_Placed = tuple[Camera, Floats]
+_PosedCamera = tuple[Camera, Floats]
 """A camera, and (4, 4) camera_from_body."""
 
 
@@ -54,7 +54,7 @@ def read(
     if left not in matrices:
         raise CalibrationError(f"{document.path}: {left} is missing; add '{left}:' and 12 numbers")
 
-    def camera(name: str) -> _Placed:
+    def camera(name: str) -> _PosedCamera:
         where = f"{document.path}: {name}"
         p = np.array(make_numbers(where, matrices[name].split(), 12)).reshape(3, 4)
         found = make_camera(where, image_size, [p[0, 0], p[1, 1], p[0, 2], p[1, 2]])
@@ -86,7 +86,7 @@ def read_raw(
     return _on_body(f"{document.path}: camera {right}", found)
 
 
-def _on_body(where: str, cameras: list[_Placed]) -> Calibration:
+def _on_body(where: str, cameras: list[_PosedCamera]) -> Calibration:
     cam0, cam0_from_body = cameras[0]
     body_from_cam0 = inverse(cam0_from_body)
     if len(cameras) == 1:
@@ -117,7 +117,7 @@ def _is_recorded(lines: _Lines, camera: str, image_size: ImageSize | None) -> bo
     return lines.numbers(f"S_{camera}") == tuple(float(side) for side in image_size)
 
 
-def _rectified(lines: _Lines, number: str) -> _Placed:
+def _rectified(lines: _Lines, number: str) -> _PosedCamera:
     where = f"{lines.path}: P_rect_{number}"
     # All rectified cameras, also those in colour, have the axes of R_rect_00.
     rotation = make_rotation(f"{lines.path}: R_rect_00", lines.numbers("R_rect_00"))
@@ -127,7 +127,7 @@ def _rectified(lines: _Lines, number: str) -> _Placed:
     return camera, make_transform(rotation, t)
 
 
-def _recorded(lines: _Lines, number: str) -> _Placed:
+def _recorded(lines: _Lines, number: str) -> _PosedCamera:
     where = f"{lines.path}: camera {number}"
     camera = matrix_camera(
         where,

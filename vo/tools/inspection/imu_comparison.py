@@ -12,7 +12,7 @@ from vo.base.types import Bytes, Camera, Floats, Ints
 from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gyro
 from vo.recordings.sources.imu import Imu, ImuSamples
 from vo.tools.inspection.image_rotation import measure_rotations
-from vo.tools.inspection.records import Finding, ImuMotionReport, ImuReport
+from vo.tools.inspection.reports import Finding, ImuMotionReport, ImuReport
 
 _MIN_COMPARED = 20
 _MIN_RATE_RAD_S = 0.05

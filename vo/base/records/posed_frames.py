@@ -8,7 +8,7 @@ from vo.base.types import Bools, Ints, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedFrames:
+class PosedFrames:
     """The frames of a run that have a pose, in time order.
 
     Attributes:

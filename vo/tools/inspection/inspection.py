@@ -17,10 +17,10 @@ from vo.recordings.sources.pairing import pair_by_stamp
 from vo.tools.inspection.findings import with_findings
 from vo.tools.inspection.image_records import CameraReport, StereoReport
 from vo.tools.inspection.images import ImageReader, check_images, evenly_spaced
+from vo.tools.inspection.imu_comparison import compare_motion
 from vo.tools.inspection.inertial import check_imus
-from vo.tools.inspection.inertial_motion import compare_motion
 from vo.tools.inspection.opening import ImageSequence, OpenedRecording
-from vo.tools.inspection.records import (
+from vo.tools.inspection.reports import (
     CalibrationReport,
     ImuReport,
     LensReport,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # many runs need neither
     from vo.engine.memory.memory import Memory
 
 
-class Placement:
+class MapAlignment:
     """Works beside tracking, without changing it; without memory and sensor it does nothing.
 
     Args:
