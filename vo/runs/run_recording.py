@@ -21,7 +21,7 @@ from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
 from vo.outputs.recorders.recorder import NullRecorder, Recorder
-from vo.outputs.results.folder import RESULTS, RunFolder
+from vo.outputs.results.folder import RESULTS, RunFolder, RunSpace
 from vo.outputs.results.output_paths import (
     locked_folder,
     refuse_links,
@@ -115,9 +115,11 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
         recorder = with_exports(_recorder(options, is_live=is_live), exports, may_drop=is_live)
         # rerun and MCAP accept no other bytes
         name = stream.name.encode("utf-8", "replace").decode()
-        recorder.begin(name, stream.rig, stream.ground_truth)
-        folder = RunFolder(Path(output), dump_config(config))  # last: it clears an earlier run
-        return RunSession(opened, odometry, folder, recorder, poses).run(frames)
+        with closing(RunSpace(Path(output), opened.facts().requested)) as space:
+            recorder.begin(name, stream.rig, stream.ground_truth)
+            # Last: it clears an earlier run.
+            folder = RunFolder(Path(output), dump_config(config), space)
+            return RunSession(opened, odometry, folder, recorder, poses).run(frames)
 
 
 def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:

@@ -98,3 +98,23 @@ def test_a_run_into_a_limit_of_sizes_keeps_whole_lines_and_says_so(
         text = (out / name).read_text()
         assert text.endswith("\n")
     assert 2 <= len(read_tum(out / "trajectory.tum")) < 30
+
+
+def test_space_for_the_path_is_kept_from_recordings(synthetic_stereo: Path, tmp_path: Path) -> None:
+    """A disk with 100 kB left, which the recordings beside the results would fill."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=100k", "none", str(disk)]).returncode:
+        pytest.skip("file systems cannot be mounted here")
+    try:
+        out = disk / "out"
+        command = [VO, "run", synthetic_stereo, "-o", out, "--config", "fast", "--quiet"]
+        command += ["--rrd", disk / "a.rrd", "--mcap", disk / "a.mcap", "--ply", disk / "a.ply"]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+        assert "No space left" in result.stderr
+        assert "Traceback" not in result.stderr
+        summary = json.loads((out / "summary.json").read_text())
+        path = read_tum(out / "trajectory.tum")
+        assert summary["status"] == "finished" and summary["frames"] == len(path) == 30
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)

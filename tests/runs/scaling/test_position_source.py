@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -76,6 +77,18 @@ def test_an_offset_of_the_clocks_is_corrected_and_reported(late_s: float) -> Non
     word = "late" if late_s > 0 else "early"
     assert note.startswith("gps, segment 0: the positions are") and f"s {word}" in note
     assert float(note.split("are ")[1].split()[0]) == pytest.approx(abs(late_s), abs=0.06)
+
+
+@pytest.mark.parametrize("late_s", [10.0, -14.0])
+def test_a_clock_that_was_guessed_is_found(late_s: float) -> None:
+    """As of a GPX file beside a video, whose times are said by hand."""
+    seconds = np.arange(-30.0, 50.0, 0.5)
+    findings = PositionSource(gps(seconds, 0.3, late_s)).measure(drive())
+    (scale,) = findings.scales
+    assert scale.value == pytest.approx(UNIT_M, rel=0.01)
+    found = re.search(r"positions are (\S+) s (late|early), which is corrected", findings.notes[0])
+    assert found is not None and (found[2] == "late") == (late_s > 0)
+    assert float(found[1]) == pytest.approx(abs(late_s), abs=0.1)
 
 
 def test_another_clock_is_refused_before_the_run() -> None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from vo.base.errors import OutputError
+from vo.base.files.complete_file import is_full_disk
 from vo.base.types import Estimate, Rig, Trajectory
 from vo.outputs.recorders.background import BackgroundRecorder
 from vo.outputs.recorders.reconstruction import Reconstruction
@@ -76,10 +78,15 @@ class SeveralRecorders:
         """Begin all recorders.
 
         Raises:
-            OutputError: an output of one of them cannot be written.
+            OutputError: an output of one of them cannot be written, but for a full disk.
         """
-        for recorder in self._recorders:
-            recorder.begin(name, rig, ground_truth)
+        for recorder in list(self._recorders):
+            try:
+                recorder.begin(name, rig, ground_truth)
+            except OutputError as error:
+                if not is_full_disk(error):
+                    raise
+                self._remove(recorder, error)
 
     def record(self, estimate: Estimate, snapshot: TakeSnapshot) -> None:
         """Record a frame with all recorders; the snapshot is taken once."""
@@ -110,6 +117,7 @@ class SeveralRecorders:
 
     def _remove(self, recorder: Recorder, error: Exception) -> None:
         self._recorders.remove(recorder)
-        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        cause = error.__cause__ or error
+        reason = getattr(cause, "strerror", None) or f"{type(error).__name__}: {error}"
         name = type(recorder).__name__.removesuffix("Recorder")
         _log.warning("the %s output stopped and is incomplete: %s", name, reason)

@@ -9,8 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from vo.base.errors import OutputError
+from vo.base.files.complete_file import is_full_disk
 from vo.base.types import Trajectory
-from vo.outputs.results.growing_file import PARTIAL_SUFFIX, GrowingFile, ReservedSpace
+from vo.outputs.results.growing_file import (
+    PARTIAL_SUFFIX,
+    GrowingFile,
+    ReservedSpace,
+    RowSpace,
+)
 from vo.outputs.results.tables import COVARIANCE_HEADING, FRAMES_HEADING, POSES_HEADING
 from vo.recordings.formats.trajectory import tum_line
 
@@ -31,6 +37,19 @@ RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, GEOJSON, KML, MARKERS)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 
+class RunSpace:
+    """Space in the folder of a run, for its summary and its tables; `rows`: expected frames."""
+
+    def __init__(self, folder: Path, rows: int = 0) -> None:
+        self.rows = RowSpace(folder, rows)
+        self.summary = ReservedSpace(folder)
+
+    def close(self) -> None:
+        """Free it."""
+        self.rows.close()
+        self.summary.close()
+
+
 class RunFolder:
     """The files that a run writes while it goes on.
 
@@ -38,13 +57,13 @@ class RunFolder:
     tracked. `poses`: smoothed poses, with number, segment and kind of their frame. `covariance`:
     one line per keyframe. `frames`: one line per frame, as known when it was processed. `path`: the
     folder; created if it is missing; files of an earlier run are removed. `config`: the merged
-    settings as YAML.
+    settings as YAML. `space`: what was reserved before other outputs were opened.
 
     Raises:
         OutputError: here and in every method: a file cannot be written.
     """
 
-    def __init__(self, path: Path, config: str) -> None:
+    def __init__(self, path: Path, config: str, space: RunSpace | None = None) -> None:
         self.path = path
         self._is_finished = False
         try:
@@ -55,13 +74,20 @@ class RunFolder:
             raise OutputError(
                 f"cannot write to folder {path}: {error.strerror or error}; choose another `output`"
             ) from error
-        write_atomically(path / CONFIG, config)
-        self._summary_space = ReservedSpace(path)
-        self.trajectory = GrowingFile(path / TRAJECTORY)
-        self.causal = GrowingFile(path / CAUSAL)
-        self.poses = GrowingFile(path / POSES, POSES_HEADING)
-        self.covariance = GrowingFile(path / COVARIANCE, COVARIANCE_HEADING)
-        self.frames = GrowingFile(path / FRAMES, FRAMES_HEADING)
+        self._space = RunSpace(path) if space is None else space
+        make_room = self._space.rows.release
+        while True:
+            try:
+                write_atomically(path / CONFIG, config)
+                break
+            except OutputError as error:
+                if not is_full_disk(error) or not make_room():
+                    raise
+        self.trajectory = GrowingFile(path / TRAJECTORY, make_room=make_room)
+        self.causal = GrowingFile(path / CAUSAL, make_room=make_room)
+        self.poses = GrowingFile(path / POSES, POSES_HEADING, make_room)
+        self.covariance = GrowingFile(path / COVARIANCE, COVARIANCE_HEADING, make_room)
+        self.frames = GrowingFile(path / FRAMES, FRAMES_HEADING, make_room)
 
     @property
     def _growing(self) -> tuple[GrowingFile, ...]:
@@ -74,7 +100,7 @@ class RunFolder:
         try:
             write_atomically(path, text)
         except OutputError:
-            if not self._summary_space.write(path, _partial(path), _encoded(text)):
+            if not self._space.summary.write(path, _partial(path), _encoded(text)):
                 raise
 
     def write_odometry(self, path: Trajectory) -> None:
@@ -103,7 +129,7 @@ class RunFolder:
         """Close the files, finished or not."""
         for file in self._growing:
             file.close()
-        self._summary_space.close()
+        self._space.close()
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
 from vo.base.errors import OutputError
+from vo.base.files.complete_file import is_full_disk
 
 PARTIAL_SUFFIX = ".partial"
 
@@ -18,21 +19,26 @@ class GrowingFile:
 
     Every line is on disk when a method returns, so that it survives a killed process.
 
-    `heading`: first line, not counted as a row; empty for none.
+    `heading`: first line, not counted as a row; empty for none. `make_room`: frees space on a full
+    disk; whether there was some.
 
     Raises:
         OutputError: here and in every method: the file cannot be written.
     """
 
-    def __init__(self, path: Path, heading: str = "") -> None:
+    def __init__(
+        self, path: Path, heading: str = "", make_room: Callable[[], bool] = lambda: False
+    ) -> None:
         self._path = path
+        self._make_room = make_room
         self._partial = path.with_name(path.name + PARTIAL_SUFFIX)
         self._offsets = array("q", [0])  # of the beginning of each row, and of the end
         try:
             # Unbuffered: one system call per method call, so that no line is split.
             self._file = self._partial.open("wb", buffering=0)
             if heading:
-                self._offsets[0] = self._file.write(f"{heading}\n".encode())
+                self._write(f"{heading}\n".encode())
+                self._offsets[0] = self._file.tell()
         except OSError as error:
             raise self._error(error) from error
 
@@ -81,7 +87,11 @@ class GrowingFile:
     def _write(self, data: bytes) -> None:
         rest = memoryview(data)
         while rest:  # on an almost full disk, a call may write a part only
-            rest = rest[self._file.write(rest) :]
+            try:
+                rest = rest[self._file.write(rest) :]
+            except OSError as error:
+                if not is_full_disk(error) or not self._make_room():
+                    raise
 
     def _drop_incomplete_rows(self) -> None:
         """Cut the file after the last row that was written completely."""
@@ -95,7 +105,42 @@ class GrowingFile:
         return OutputError(f"{self._path} cannot be written: {error.strerror or error}")
 
 
-_BYTES = (1 << 16, 1 << 14, 1 << 12)  # the first that there is space for; a summary takes 3 kB
+_SUMMARY_BYTES = (1 << 16, 1 << 14, 1 << 12)  # the first that there is space for; it takes 3 kB
+_ROW_BYTES = 1024  # of a frame in all tables
+_MIN_ROWS, _MAX_ROWS = 256, 1 << 15
+_STEP_BYTES = 1 << 14
+
+
+class RowSpace:
+    """Space for the tables of a run, which recordings on the same disk cannot take.
+
+    On a nearly full disk half of what is left is reserved. `rows`: expected frames, 0 if unknown.
+    """
+
+    def __init__(self, folder: Path, rows: int) -> None:
+        wanted = _ROW_BYTES * min(max(rows, _MIN_ROWS), _MAX_ROWS)
+        sizes = [wanted, *(1 << power for power in range(24, 12, -1) if 1 << power < wanted)]
+        self._file, self._size = _held(folder, sizes)
+        if self._size < wanted:
+            self._cut(self._size // 2)
+
+    def release(self) -> bool:
+        """Free some of it; whether there was some."""
+        had = self._size > 0
+        self._cut(max(self._size - _STEP_BYTES, 0))
+        return had
+
+    def close(self) -> None:
+        """Free the rest."""
+        if self._file is not None:
+            os.close(self._file)
+        self._file, self._size = None, 0
+
+    def _cut(self, size: int) -> None:
+        if self._file is not None:
+            with suppress(OSError):
+                os.ftruncate(self._file, size)
+        self._size = size
 
 
 class ReservedSpace:
@@ -140,14 +185,19 @@ class ReservedSpace:
             self._file = None
 
     def _reserve(self) -> None:
-        with suppress(OSError, AttributeError):
-            file = os.open(self._folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
-            for size in _BYTES:
-                with suppress(OSError):
-                    os.posix_fallocate(file, 0, size)
-                    self._file = file
-                    return
-            os.close(file)
+        self._file, _ = _held(self._folder, _SUMMARY_BYTES)
+
+
+def _held(folder: Path, sizes: Iterable[int]) -> tuple[int | None, int]:
+    """A file without a name of the first size that there is space for; (None, 0) without one."""
+    with suppress(OSError, AttributeError):
+        file = os.open(folder, os.O_TMPFILE | os.O_WRONLY, 0o666)
+        for size in sizes:
+            with suppress(OSError):
+                os.posix_fallocate(file, 0, size)
+                return file, size
+        os.close(file)
+    return None, 0
 
 
 def _name(file: int, path: Path) -> None:

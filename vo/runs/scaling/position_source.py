@@ -14,6 +14,7 @@ from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, Floats, Ints, Snapshot
 from vo.recordings.formats.positions import NS_PER_DAY
 from vo.runs.scaling.alternatives import explain
+from vo.runs.scaling.clock_search import search_clock
 from vo.runs.scaling.fit import PositionFit
 from vo.runs.scaling.positions import Positions
 from vo.runs.scaling.timed_fit import fit_in_time
@@ -117,6 +118,10 @@ class PositionSource:
         if given.is_time_of_day and len(stamps_ns):
             given = given.shifted(_days_ns(given.stamps_ns, stamps_ns))
         fitted = fit_in_time(given, stamps_ns, xyz, arms, is_metric=False)
+        shift_ns = search_clock(given, stamps_ns, xyz, None if isinstance(fitted, str) else fitted)
+        if shift_ns:
+            given = given.shifted(shift_ns)
+            fitted = fit_in_time(given, stamps_ns, xyz, arms, is_metric=False)
         where = f"{self.positions.source}, segment {segment}"
         if isinstance(fitted, str):
             return None, [f"{where}: no scale: {fitted}"], None
@@ -130,7 +135,7 @@ class PositionSource:
             if isinstance(rigid, str):
                 return None, [f"{where}: {rigid}"], None
             fit, offset_s = rigid
-        notes = _fit_notes(where, fit, offset_s)
+        notes = _fit_notes(where, fit, offset_s - 1e-9 * shift_ns)
         if found.cause:
             notes.insert(0, f"{where}: {found.cause}, which is corrected")
         alignment = PathAlignment(segment, fit.rotation, fit.translation, given.origin)
