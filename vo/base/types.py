@@ -345,7 +345,7 @@ class Estimate:
     Attributes:
         frame_index: number of the frame in its source.
         stamp_ns: its time.
-        state: state of the odometry.
+        state: `tracking` exactly where there is a pose `world_from_cam0`.
         failure: why it was not tracked, None where it was.
         segment: number of the segment, from 0; a new one begins after each loss.
         world_from_cam0: (4, 4) pose as known now (causal), None where it was not tracked.

@@ -103,14 +103,14 @@ def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
 
     Args:
         result: of the frame.
-        state: of the odometry.
+        state: of the odometry; a frame without a pose is `lost` where that is tracking.
         segment: number of its segment.
     """
     frame, tracked = result.frame, result.tracked
     return Estimate(
         frame_index=frame.index,
         stamp_ns=frame.stamp_ns,
-        state=state,
+        state=State.LOST if tracked is None and state is State.TRACKING else state,
         failure=None if tracked is not None else _explained(result.failure, frame),
         segment=segment,
         world_from_cam0=None,

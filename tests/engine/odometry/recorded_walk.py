@@ -89,6 +89,7 @@ def track(
     odometry = Odometry(rig, config)
     run = Run(odometry, [], [])
     for estimate in odometry.track_all(frames):
+        assert (estimate.state is State.TRACKING) == (estimate.world_from_cam0 is not None)
         run.estimates.append(estimate)
         if takes_snapshots:
             run.snapshots.append(odometry.snapshot())

@@ -19,6 +19,7 @@ from vo.cli.app import app
 from vo.engine.markers.marker_problem import MarkerProblem, MarkerState, MarkerView, square_points
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.registry import open_source
+from vo.tools.markers.moved import fit_unmoved
 from vo.tools.markers.plane_pose import plane_pose
 from vo.tools.markers.scale_fit import ScaleFit, fit_scale
 
@@ -29,7 +30,12 @@ FRAMES, STEP_NS = 24, 80_000_000
 
 
 def _views(
-    rng: np.random.Generator, units: float, corner_px: float, drift: float, span_m: float = 1.0
+    rng: np.random.Generator,
+    units: float,
+    corner_px: float,
+    drift: float,
+    span_m: float = 1.0,
+    jump_m: float = 0.0,
 ) -> tuple[list[MarkerView], Floats, Floats]:
     """Views of a marker from a moving camera; poses of an odometry that drifts; the true marker."""
     tilt = so3_exp(rng.normal(0.0, 0.3, 3))
@@ -46,6 +52,8 @@ def _views(
         pose = true.copy()
         pose[:3, 3] *= units
         walk += np.concatenate([rng.normal(0, 3e-4, 3), rng.normal(0, 8e-4 * units, 3)]) * drift
+        if n == FRAMES // 2:
+            marker[0, 3] += jump_m
         seen = inverse(true) @ marker
         points = square_points(LENGTH_M) @ seen[:3, :3].T + seen[:3, 3]
         pixels = points[:, :2] / points[:, 2:] * 600.0 + (319.5, 239.5)
@@ -132,6 +140,25 @@ def test_the_stated_sigma_covers_the_truth_and_the_error_is_near_its_bound(
     assert error > 0.5 * np.mean(sigmas)  # and is not idle
     assert np.sqrt(np.mean(bounds)) == pytest.approx(bound, rel=0.05)
     assert error < 1.3 * bound
+
+
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_a_marker_that_was_moved_is_named_and_bends_no_scale(is_metric: bool) -> None:
+    for seed in range(10):
+        units = 1.0 if is_metric else 0.4
+        still, poses, _ = _views(np.random.default_rng(seed), units, 0.05, 1.0)
+        moved, again, _ = _views(np.random.default_rng(seed), units, 0.05, 1.0, jump_m=0.3)
+        others = [view._replace(id=5) for view in still]
+        along = np.cumsum(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0, prepend=0), axis=1))
+        _, notes = fit_unmoved(still, poses, along, is_metric=is_metric)
+        assert notes == []
+        along = np.r_[along, along[[view.frame_index for view in moved]]]
+        fit, notes = fit_unmoved(
+            [*others, *moved], np.concatenate([poses, again]), along, is_metric=is_metric
+        )
+        assert len(notes) == 1 and "marker 3 " in notes[0], seed
+        assert fit is not None
+        assert abs(np.log(fit.metres_per_unit * units)) < 4.0 * fit.relative_sigma
 
 
 def test_a_camera_that_stands_still_says_that_it_knows_nothing() -> None:

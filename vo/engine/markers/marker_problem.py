@@ -176,7 +176,7 @@ class MarkerProblem:
                 best, lowest = guess, cost
         return np.asarray(best, np.float64)
 
-    def solve(self, state: MarkerState) -> Solution | None:
+    def solve(self, state: MarkerState, *, has_drift: bool = True) -> Solution | None:
         """Robust least squares by Levenberg and Marquardt, and a step with the drift of the path.
 
         The linear problem of the result, and so its covariance, is that before this step.
@@ -202,7 +202,9 @@ class MarkerProblem:
             state, found, damping = moved, trial, max(0.1 * damping, 1e-9)
             if np.linalg.norm(step) < _CONVERGED:
                 break
-        return None if found is None else (self._with_drift(state, found), found)
+        if found is None:
+            return None
+        return (self._with_drift(state, found) if has_drift else state), found
 
     def _with_drift(self, state: MarkerState, found: LinearProblem) -> MarkerState:
         """The state by generalised least squares: errors of views that follow a drift are alike.
@@ -265,20 +267,21 @@ class MarkerProblem:
         jacobian[..., -1] = np.sum(by_position * in_world[:, :, None], axis=3)
         return jacobian.reshape(-1, 6 * count + 1)
 
-    def covariance(self, solution: Solution) -> Floats:
+    def covariance(self, solution: Solution, max_drift: float = _MAX_DRIFT) -> Floats:
         """(6 M + 1, 6 M + 1) of rotations and positions by marker, and the logarithm of units.
 
-        That of the corners and of the drift of the path since the first view.
+        That of the corners and of the drift of the path since the first view: as large as residuals
+        show, up to `max_drift` times 1 % of its length.
         """
         state, found = solution
         normal = found.jacobian.T @ found.jacobian
         inverse_normal = np.asarray(np.linalg.pinv(normal, hermitian=True), np.float64)
-        return np.asarray(inverse_normal + self._drift(state, found))
+        return np.asarray(inverse_normal + self._drift(state, found, max_drift))
 
-    def _drift(self, state: MarkerState, found: LinearProblem) -> Floats:
+    def _drift(self, state: MarkerState, found: LinearProblem, max_drift: float) -> Floats:
         """Covariance of the parameters by a random walk of the poses of the path."""
         jacobian, _, walk, size = self._walk(state, found)
-        moved = size * (np.linalg.pinv(jacobian) @ walk)
+        moved = min(size, max_drift) * (np.linalg.pinv(jacobian) @ walk)
         return np.asarray(moved @ moved.T)
 
     def _walk(

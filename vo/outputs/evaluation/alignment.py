@@ -44,7 +44,7 @@ def choose_alignment(align: AlignMethod, mode: Mode) -> tuple[AlignKind, str]:
         return "sim3", "auto: mono estimate, scale unknown"
     if mode == "stereo":
         return "se3", "auto: stereo estimate, metric scale"
-    return "se3", "auto: mode of the estimate unknown, taken as metric"
+    return "se3", "auto: taken as metric"
 
 
 def align_poses(

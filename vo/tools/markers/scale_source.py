@@ -22,8 +22,9 @@ from vo.tools.markers.detection import DictionarySearch, MarkerDetector
 from vo.tools.markers.image_markers import DetectedMarker
 from vo.tools.markers.map_fit import fit_map
 from vo.tools.markers.marker_map import MarkerMap
+from vo.tools.markers.moved import fit_unmoved
 from vo.tools.markers.plane_pose import plane_pose
-from vo.tools.markers.scale_fit import ScaleFit, fit_scale
+from vo.tools.markers.scale_fit import ScaleFit
 from vo.tools.markers.world_frames import (
     FoundMarker,
     NewWorlds,
@@ -136,10 +137,12 @@ class MarkerSource:
             if not views:
                 continue
             rows = [row_of[view.frame_index] for view in views]
-            fit = fit_scale(views, poses[rows], is_metric=self._is_metric)
+            steps = np.diff(poses[:, :3, 3], axis=0, prepend=poses[:1, :3, 3])
+            along = np.cumsum(np.where(path.world == world, np.linalg.norm(steps, axis=1), 0.0))
+            fit, moved = fit_unmoved(views, poses[rows], along[rows], is_metric=self._is_metric)
             scale, untold = self._judged(world, fit, len(views))
             scales += [] if scale is None else [scale]
-            notes += untold
+            notes += [*moved, *untold]
         return ScaleFindings(tuple(scales), tuple(notes))
 
     def new_worlds(self, scales: Mapping[int, MetricScale]) -> NewWorlds:
