@@ -28,9 +28,11 @@ from common import (
 )
 from robustness_cases import CLIPS, Case, cases
 from robustness_clips import Clip, Clips, true_poses, write_euroc
+from robustness_generated import Generated, generated
 from robustness_run import Outcome, max_ate_m, run
 from robustness_table import CleanRow, Row, clean_line, document, line
 
+from vo.base.types import Floats
 from vo.recordings.sources.registry import open_source
 
 PAGE = EXPERIMENTS / "injected-faults.md"
@@ -41,8 +43,10 @@ def main() -> None:
     """Run, print the rows, and write the requested files."""
     options = _options()
     chosen = [c for c in cases(options.vo) if _is_chosen(c, options)]
+    others = [] if options.quick else generated(options.data)
+    others = [each for each in others if options.only in each.name]
     if options.list:
-        print("\n".join(case.name for case in chosen))
+        print("\n".join(case.name for case in (*chosen, *others)))
         return
     clips = Clips(options.data, options.cache)
     rows: dict[str, Row] = {}
@@ -54,12 +58,15 @@ def main() -> None:
             if row is not None:
                 rows[case.name] = row
                 print(line(row), flush=True)
+        for situation in others:
+            row = rows[situation.name] = bench.generated_row(situation, options.data)
+            print(line(row), flush=True)
         for each in _clean_rows(options, Path(name)):
             clean.append(each)
             print(clean_line(each), flush=True)
     if not rows and not clean:
         raise SystemExit("error: nothing to run; check --data and --only")
-    in_order = [rows[case.name] for case in chosen if case.name in rows]
+    in_order = [rows[case.name] for case in (*chosen, *others) if case.name in rows]
     _write(options, in_order, clean)
     wrong = [row for row in in_order if row.is_wrong_and_trusted]
     alarms = [row for row in clean if row.false_alarms]
@@ -90,6 +97,30 @@ class _Bench:
         limit = max_ate_m(clean, faulty.truth)
         names = (case.situation, case.variant, case.clip)
         return Row(*names, outcome, clean, limit, case.is_visible)
+
+    def generated_row(self, situation: Generated, data: Path) -> Row:
+        """Make a recording by its generator, and compare it with the one that it is made of."""
+        recording, options = data / situation.clean, situation.options
+        with tempfile.TemporaryDirectory(dir=self._work) as name:
+            folder = Path(name)
+            made = folder / ("positions.csv" if situation.is_file else "recording")
+            situation.make(self._vo, data, made)
+            source = recording if situation.is_file else made
+            words = (*options, str(made)) if situation.is_file else options
+            truth = _truth(source)
+            outcome = run(self._vo, source, truth, folder / "out", words)
+            key = " ".join((situation.clean, *options))
+            if key not in self._clean:
+                words = (*options, str(folder / "clean.csv")) if situation.is_file else options
+                if situation.is_file:
+                    control = situation._replace(words=("OUT", "ctrl"))
+                    control.make(self._vo, data, folder / "clean.csv")
+                self._clean[key] = run(
+                    self._vo, recording, _truth(recording), folder / "clean", words
+                )
+        clean = self._clean[key]
+        names = (situation.situation, situation.variant, situation.mode)
+        return Row(*names, outcome, clean, max_ate_m(clean, truth))
 
     def _clean_outcome(self, name: str, clip: Clip) -> Outcome:
         if name not in self._clean:
@@ -127,9 +158,13 @@ def _clean_run(vo: Path, folder: Path, output: Path, arguments: tuple[str, ...])
     source = open_source(folder, calibration=calibration)
     if "stereo" in arguments and not source.rig.is_stereo:
         return None
+    return run(vo, folder, _truth(folder, calibration), output / "out", arguments)
+
+
+def _truth(folder: Path, calibration: Path | None = None) -> Floats:
+    source = open_source(folder, calibration=calibration, mode="mono")
     assert source.ground_truth is not None
-    truth = true_poses(source.ground_truth, source.stamps_ns)
-    return run(vo, folder, truth, output / "out", arguments)
+    return true_poses(source.ground_truth, source.stamps_ns)
 
 
 def _options() -> argparse.Namespace:

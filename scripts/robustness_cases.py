@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import robustness_faults as faults
+import robustness_optics as optics
 import robustness_overlays as overlays
 from robustness_clips import Fault, write_euroc
 from robustness_logs import Write, clock_set_back, times_in
@@ -44,7 +45,7 @@ class Case:
 
 def cases(vo: Path) -> list[Case]:
     """All rows; `vo` is the command that converts recordings."""
-    groups = (_still, _moving, _repeated, _pairs, _calibrations, _sensors, _weather)
+    groups = (_still, _moving, _repeated, _pairs, _calibrations, _sensors, _weather, _optics)
     return [case for group in groups for case in group()] + list(_stamps(vo))
 
 
@@ -198,6 +199,32 @@ def _weather() -> Iterator[Case]:
             yield Case("snow", f"{flakes} flakes", clip, faults.snow(flakes))
         for length in (7, 21):
             yield Case("blur", f"{length} px", clip, faults.blur(length))
+
+
+def _optics() -> Iterator[Case]:
+    """What happens before the lens, in it, and between the cameras."""
+    found = (
+        ("water drop", "radius 60 px", optics.water_drop(80, 60)),
+        ("water drop", "radius 110 px", optics.water_drop(80, 110)),
+        ("wiper", "every 1.5 s", optics.wiper),
+        ("LED light", "50 %", optics.led_light(0.5)),
+        ("rows lost", "4 of every third image", optics.lost_rows(4)),
+        ("rows lost", "40 of every third image", optics.lost_rows(40)),
+        ("lens flare", "4 ghosts", optics.flare),
+        ("mirror wall", "50 %", optics.mirror_wall(0.5)),
+        ("mirror wall", "90 %", optics.mirror_wall(0.9)),
+        ("stamps late by chance", "σ = 10 ms", optics.jitter(10.0)),
+        ("long exposure", "3 images", optics.long_exposure),
+        ("head lamp", "at night", optics.head_lamp),
+        ("rain", "300 streaks", optics.rain(300)),
+        ("JPEG", "quality 5", optics.jpeg(5)),
+        ("own shadow", "at the bottom", optics.own_shadow),
+        ("window of a train", "33 % of the image", optics.window_of_a_train),
+    )
+    for situation, variant, fault in found:
+        for clip in ("hall stereo", "hall mono"):
+            yield Case(situation, variant, clip, fault)
+    yield Case("half a frame apart", "10 Hz", "hall stereo", optics.half_a_frame_apart)
 
 
 def _stamps(vo: Path) -> Iterator[Case]:

@@ -23,7 +23,7 @@ class Outcome:
     """What a run made of a recording."""
 
     # root mean square of the position errors, None without a path. Each segment is aligned by
-    # itself; with scale in mono
+    # itself; with scale where the path is not in metres
     ate_m: float | None
     tracked: float  # frames with a pose, as a ratio
     longest_step_m: float  # longest distance between neighbouring frames
@@ -48,7 +48,8 @@ def run(
         text = process.failure.removeprefix("error: ")
         return Outcome(None, 0.0, 0.0, verdict, False, (), text, error=True)
     summary = process.summary
-    ate, step = errors(output / "poses.csv", truth, summary["mode"] == "mono")
+    has_no_scale = summary["mode"] == "mono" and summary["length_unit"] != "m"
+    ate, step = errors(output / "poses.csv", truth, has_no_scale)
     verdict = _verdict(summary, process.stdout)
     return Outcome(
         ate,

@@ -36,3 +36,13 @@ def test_faults_of_frames_that_are_tracked_anew_are_withdrawn() -> None:
     assert len(log.records()) == 2
     log.withdraw_from(3)
     assert [record.kind for record in log.records()] == [REPEATED]  # seen in the images
+
+
+def test_many_implausible_steps_are_not_handled() -> None:
+    step = Fault(FaultKind.IMPLAUSIBLE_STEP, is_handled=True)
+    for frames, is_handled in (((9, 15), True), ((9, 15, 19), False), ((9, 800, 1500), True)):
+        log = FaultLog()
+        for frame in frames:
+            log.add([step], frame)
+        (record,) = log.records()
+        assert record.is_handled is is_handled and record.frames == len(frames)

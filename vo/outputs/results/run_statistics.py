@@ -21,6 +21,9 @@ _OF_TRACKING = (
     FaultKind.WRONG_STEREO_CALIBRATION,
     FaultKind.WRONG_LENS,
 )
+# Implausible steps from which those that were not noticed are probable, too, as where rows of
+# images are missing: so many, and at least one in so many frames.
+_MIN_STEPS, _STEP_EVERY = 3, 100
 
 
 class FaultRecord(NamedTuple):
@@ -65,7 +68,7 @@ class FaultLog:
 
 def _joined(before: FaultRecord, new: FaultRecord) -> FaultRecord:
     larger = max(before, new, key=lambda record: abs(record.value))
-    return FaultRecord(
+    joined = FaultRecord(
         before.kind,
         before.is_handled and new.is_handled,
         before.frames + new.frames,
@@ -74,6 +77,11 @@ def _joined(before: FaultRecord, new: FaultRecord) -> FaultRecord:
         larger.value,
         larger.place,
     )
+    are_steps = joined.kind is FaultKind.IMPLAUSIBLE_STEP and joined.frames >= _MIN_STEPS
+    if not are_steps or joined.first is None or joined.last is None:
+        return joined
+    is_rare = joined.last - joined.first > _STEP_EVERY * joined.frames
+    return joined._replace(is_handled=joined.is_handled and is_rare)
 
 
 _SKIPPED, _UNTRACKED = "skipped", "untracked"
