@@ -21,7 +21,7 @@ from vo.base.geometry.similarity import umeyama
 from vo.base.types import Bytes, Frame, Rig, Skipped, Trajectory
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.memory.recognition import Recognised, Recogniser
-from vo.engine.places.records import Place, PlacedKeyframes
+from vo.engine.places.records import Place, RegisteredKeyframes
 from vo.outputs.evaluation.pose_errors import absolute_errors
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.sources.images import ImageKind
@@ -113,7 +113,7 @@ def _observe(write: Callable[[str], Any]) -> None:
     recognise, result = Recogniser._recognise, PoseGraph.result
     state = {"stored": 0, "loops": 0, "poses": 0}
 
-    def counted(graph: PoseGraph, *arguments: Any) -> PlacedKeyframes:
+    def counted(graph: PoseGraph, *arguments: Any) -> RegisteredKeyframes:
         placed = result(graph, *arguments)
         state["poses"] = len(placed.keys)
         return placed

@@ -56,7 +56,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"learned"},
         {"mapping", "features", "markers"},
         {"places", "inertial"},
-        {"tracking", "backend", "refinement", "maps", "verification"},
+        {"tracking", "backend", "refinement", "maps", "loop_verification"},
         {"trajectory"},
         {"inertial_path"},
         {"map_updater", "snapshot", "memory", "warmup"},

@@ -11,7 +11,7 @@ from vo.cli.app import app
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.maps.map_file import MapHeader, write_map
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.records import PATCH_PX, Place, PlacedKeyframes, PlaceKey, PlaceLandmarks
+from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks, RegisteredKeyframes
 
 
 def _map(path: Path, *, is_metric: bool = True, metric_worlds: tuple[int, ...] = ()) -> Path:
@@ -40,7 +40,7 @@ def _map(path: Path, *, is_metric: bool = True, metric_worlds: tuple[int, ...] =
     poses = np.stack([np.eye(4)] * 2)
     poses[1, 0, 3] = 5.0
     worlds = np.array([0, len(metric_worlds)])
-    placed = PlacedKeyframes(
+    placed = RegisteredKeyframes(
         keys, worlds, poses, np.array([1.0, 2.0]), np.zeros((2, 6, 6)), rejected=()
     )
     camera = Camera(64, 48, 50, 50, 32, 24)

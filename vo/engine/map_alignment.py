@@ -20,12 +20,7 @@ if TYPE_CHECKING:  # many runs need neither
 
 
 class MapAlignment:
-    """Works beside tracking, without changing it; without memory and sensor it does nothing.
-
-    Args:
-        memory: stores keyframes and closes loops, None for no loops.
-        inertial: estimates metric, upright poses, None without a sensor.
-    """
+    """Works beside tracking, without changing it; without memory and sensor it does nothing."""
 
     def __init__(self, memory: Memory | None, inertial: InertialAlignment | None) -> None:
         self._memory = memory
@@ -66,13 +61,7 @@ class MapAlignment:
     def see_markers(
         self, frame_index: int, views: Sequence[MarkerView], repeated: Sequence[int]
     ) -> None:
-        """After a frame was tracked: the markers that it shows.
-
-        Args:
-            frame_index: number of the frame.
-            views: of markers whose id it shows once.
-            repeated: ids that it shows several times.
-        """
+        """After a frame was tracked: views of markers that it shows once, ids of repeated ones."""
         if self._memory is not None:
             self._memory.markers.see(frame_index, views, repeated)
 
@@ -96,13 +85,9 @@ class MapAlignment:
         """The path before all loops, after `finish`: each segment in a world of its own.
 
         Segments that the inertial sensor has joined without images stay together.
-
-        Args:
-            store: the path.
-            in_metres: whether worlds are converted to metres where a scale was measured.
         """
-        if self._inertial is not None and self._inertial.placement.has_poses:
-            return self._inertial.placement.path_before_loops()
+        if self._inertial is not None and self._inertial.map_poses.has_poses:
+            return self._inertial.map_poses.path_before_loops()
         return store.odometry(in_metres=in_metres)
 
     def check_savable(self, path: Path) -> None:
@@ -116,9 +101,7 @@ class MapAlignment:
     def save_map(self, path: Path, source: str) -> None:
         """Write the stored keyframes and where they are to a file, after `finish`.
 
-        Args:
-            path: the file.
-            source: name of the recording.
+        `source`: name of the recording.
 
         Raises:
             OutputError: the file cannot be written; errors of `check_savable`.

@@ -186,7 +186,7 @@ def _memory(
     memory = config.memory
     if memory.loops is False or (memory.loops == "auto" and not memory.map):
         return None
-    from vo.engine.memory.creation import make_memory
+    from vo.engine.memory.memory_creation import make_memory
 
     threads = config.threads or available_cores()
     return make_memory(rig, descriptors, config, trajectory, stopwatch, threads, inertial)

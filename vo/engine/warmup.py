@@ -35,7 +35,7 @@ _ROOMS_WITH_KERNELS = (
     "engine/mapping",
     "engine/places",
     "engine/tracking",
-    "engine/verification",
+    "engine/loop_verification",
 )
 _SIZE = (240, 320)  # of the images, rows and columns
 _FOCAL_PX = 200.0
@@ -60,12 +60,8 @@ def warm_up(make_odometry: Callable[[Rig, Config], Any]) -> bool:
     uses are compiled. The machine code is cached on disk; whether, when or where this function is
     called makes no difference to results.
 
-    Args:
-        make_odometry: the class `vo.engine.odometry.Odometry`, whose constructor calls this
-            function.
-
-    Returns:
-        Whether anything had to be compiled.
+    `make_odometry`: the class `Odometry`, whose constructor calls this function. Returns whether
+    anything had to be compiled.
     """
     global _is_running
     if _is_running or is_warm():
@@ -144,11 +140,11 @@ def _use_rolling_shutter() -> None:
 
 def _use_screening() -> None:
     """Call what only a recording with places that look alike needs, with any values."""
+    from vo.engine.loop_verification.screening import Screening
     from vo.engine.mapping.keyframe import FrameId
     from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
     from vo.engine.places.vocabulary import DESCRIPTOR_BYTES
     from vo.engine.places.vocabulary_file import built_in_vocabulary
-    from vo.engine.verification.screening import Screening
 
     random, count = np.random.default_rng(0), 20
     xyz = random.uniform((-1, -1, 4), (1, 1, 6), (count, 3)).astype(np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.geometry import sim3
-from vo.engine.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
 STEP_SIGMA = np.r_[np.full(3, 5e-4), np.full(3, 0.01)]
 LOOP_SIGMA = np.r_[np.full(3, 2e-3), np.full(3, 0.02)]
@@ -29,9 +29,9 @@ class Laps:
     problem: GraphProblem
     is_true: Bools
 
-    def error_m(self, placed: PlacedKeyframes) -> float:
+    def error_m(self, registered: RegisteredKeyframes) -> float:
         """RMS position error; the first pose is given."""
-        apart = placed.world_from_cam[:, :3, 3] - self.truth[:, :3, 3]
+        apart = registered.world_from_cam[:, :3, 3] - self.truth[:, :3, 3]
         return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
     def odometry_error_m(self) -> float:
@@ -176,9 +176,9 @@ def _false_loops(
     return loops
 
 
-def believed(placed: PlacedKeyframes, problem: GraphProblem) -> Bools:
+def believed(registered: RegisteredKeyframes, problem: GraphProblem) -> Bools:
     """(L,) loops that were not rejected."""
-    rejected = {id(loop) for loop in placed.rejected}
+    rejected = {id(loop) for loop in registered.rejected}
     return np.array([id(loop) not in rejected for loop in problem.loops], dtype=bool)
 
 

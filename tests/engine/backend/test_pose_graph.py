@@ -14,36 +14,36 @@ from vo.engine.backend.graph_solution import optimise_graph
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.geometry import sim3
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlaceKey, RegisteredKeyframes
 
 
 def test_nothing_moves_without_loops() -> None:
     problem = laps(0, loops=0).problem
-    placed = optimise_graph(problem)
-    np.testing.assert_array_equal(placed.world_from_cam, problem.odom_from_cam)
-    assert set(placed.world.tolist()) == {0}
-    assert np.isfinite(placed.covariance).all()
+    registered = optimise_graph(problem)
+    np.testing.assert_array_equal(registered.world_from_cam, problem.odom_from_cam)
+    assert set(registered.world.tolist()) == {0}
+    assert np.isfinite(registered.covariance).all()
 
 
 @pytest.mark.parametrize("scale_sigma", [0.0, 1e-9])
 def test_exact_measurements_leave_no_error(scale_sigma: float) -> None:
     case = laps(0, noise=1e-6, scale_sigma=scale_sigma)
-    placed = optimise_graph(case.problem)
-    assert believed(placed, case.problem).all()
-    assert case.error_m(placed) < 1e-5
+    registered = optimise_graph(case.problem)
+    assert believed(registered, case.problem).all()
+    assert case.error_m(registered) < 1e-5
 
 
 @pytest.mark.parametrize("scale_sigma", [0.0, 0.005])
 def test_true_loops_take_the_drift_away(scale_sigma: float) -> None:
     for seed in range(3):
         case = laps(seed, scale_sigma=scale_sigma)
-        placed = optimise_graph(case.problem)
-        assert believed(placed, case.problem).mean() > 0.95
-        assert case.error_m(placed) < 0.5 * case.odometry_error_m()
+        registered = optimise_graph(case.problem)
+        assert believed(registered, case.problem).mean() > 0.95
+        assert case.error_m(registered) < 0.5 * case.odometry_error_m()
         first = case.problem.odom_from_cam[0]
-        np.testing.assert_allclose(placed.world_from_cam[0], first, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(registered.world_from_cam[0], first, rtol=0, atol=1e-12)
         if case.problem.is_metric.all():
-            np.testing.assert_array_equal(placed.scale, 1.0)
+            np.testing.assert_array_equal(registered.scale, 1.0)
 
 
 @pytest.mark.parametrize("groups", [0, 1, 3])
@@ -69,9 +69,9 @@ def test_weak_evidence_does_not_move_a_metric_path(sigmas: float, moves: bool) -
         )
         for loop in problem.loops
     )
-    placed = optimise_graph(with_loops(problem, loops))
-    assert believed(placed, with_loops(problem, loops)).all()
-    moved = np.abs(placed.world_from_cam - problem.odom_from_cam).max()
+    registered = optimise_graph(with_loops(problem, loops))
+    assert believed(registered, with_loops(problem, loops)).all()
+    moved = np.abs(registered.world_from_cam - problem.odom_from_cam).max()
     if moves:
         assert moved > 0.01
     else:
@@ -80,15 +80,15 @@ def test_weak_evidence_does_not_move_a_metric_path(sigmas: float, moves: bool) -
 
 def test_false_loops_alone_change_nothing() -> None:
     case = laps(3, loops=20, false_ratio=1.0, groups=1)
-    placed = optimise_graph(case.problem)
-    assert len(placed.rejected) == 20
-    np.testing.assert_array_equal(placed.world_from_cam, case.problem.odom_from_cam)
+    registered = optimise_graph(case.problem)
+    assert len(registered.rejected) == 20
+    np.testing.assert_array_equal(registered.world_from_cam, case.problem.odom_from_cam)
 
 
 def test_drift_of_scale_is_found() -> None:
     case = laps(2, scale_sigma=0.005, loops=60)
-    placed = optimise_graph(case.problem)
-    steps = np.linalg.norm(np.diff(placed.world_from_cam[:, :3, 3], axis=0), axis=1)
+    registered = optimise_graph(case.problem)
+    steps = np.linalg.norm(np.diff(registered.world_from_cam[:, :3, 3], axis=0), axis=1)
     assert abs(steps[-50:].mean() - 1.0) < 0.02
 
 
@@ -96,19 +96,19 @@ def test_covariances_hold_the_errors() -> None:
     squared = []
     for seed in range(12):
         case = laps(seed)
-        placed = optimise_graph(case.problem)
-        error = sim3.local(sim3.inverse(placed.world_from_cam) @ case.truth)[:, :6]
+        registered = optimise_graph(case.problem)
+        error = sim3.local(sim3.inverse(registered.world_from_cam) @ case.truth)[:, :6]
         for n in (40, 120, 290):
-            squared.append(error[n] @ np.linalg.solve(placed.covariance[n], error[n]))
+            squared.append(error[n] @ np.linalg.solve(registered.covariance[n], error[n]))
     # Six in expectation; less, as the graph also expects systematic drift.
     assert 1.0 < np.mean(squared) < 8.0
 
 
 def test_segments_that_meet_become_one_world() -> None:
     case = laps(4)
-    placed = optimise_graph(cut(case.problem, 150))
-    assert set(placed.world.tolist()) == {0}
-    assert case.error_m(placed) < 0.3
+    registered = optimise_graph(cut(case.problem, 150))
+    assert set(registered.world.tolist()) == {0}
+    assert case.error_m(registered) < 0.3
 
 
 def test_segments_of_one_camera_are_merged_with_their_scales() -> None:
@@ -117,10 +117,10 @@ def test_segments_of_one_camera_are_merged_with_their_scales() -> None:
     odom = problem.odom_from_cam.copy()
     odom[150:, :3, 3] *= 4.0
     loops = tuple(_in_new_unit(loop, 4.0) for loop in problem.loops)
-    placed = optimise_graph(replace(problem, odom_from_cam=odom, loops=loops))
-    assert set(placed.world.tolist()) == {0}
-    np.testing.assert_allclose(placed.scale[150:], 0.25, rtol=0.02)
-    assert case.error_m(placed) < 0.1
+    registered = optimise_graph(replace(problem, odom_from_cam=odom, loops=loops))
+    assert set(registered.world.tolist()) == {0}
+    np.testing.assert_allclose(registered.scale[150:], 0.25, rtol=0.02)
+    assert case.error_m(registered) < 0.1
 
 
 def _in_new_unit(loop: Loop, factor: float) -> Loop:
@@ -156,9 +156,9 @@ def test_loops_mend_a_wrong_motion_that_was_doubted(scale_sigma: float) -> None:
 def test_a_wrong_motion_that_nothing_doubts_stays() -> None:
     case = laps(4)
     problem = with_wrong_motion(case.problem, AT, WRONG, is_doubted=False)
-    placed = optimise_graph(problem)
-    assert placed.wrong == ()
-    across = [loop for loop in _across(problem) if loop not in placed.rejected]
+    registered = optimise_graph(problem)
+    assert registered.wrong == ()
+    across = [loop for loop in _across(problem) if loop not in registered.rejected]
     assert not across
 
 
@@ -167,10 +167,10 @@ def test_a_doubted_motion_that_was_right_makes_no_difference() -> None:
         case = laps(seed, loops=60, scale_sigma=0.005)
         doubted = np.isin(np.arange(300), (80, 150, 151, 220))
         expected = optimise_graph(case.problem)
-        placed = optimise_graph(replace(case.problem, is_doubted=doubted))
-        assert placed.wrong == ()
+        registered = optimise_graph(replace(case.problem, is_doubted=doubted))
+        assert registered.wrong == ()
         for name in ("world_from_cam", "scale", "covariance"):
-            np.testing.assert_array_equal(getattr(placed, name), getattr(expected, name))
+            np.testing.assert_array_equal(getattr(registered, name), getattr(expected, name))
 
 
 @pytest.mark.parametrize("groups", [0, 3])
@@ -178,8 +178,8 @@ def test_false_loops_across_doubted_motions_are_refused(groups: int) -> None:
     for seed in range(5):
         case = laps(seed, false_ratio=0.5, groups=groups)
         doubted = np.isin(np.arange(300), (AT, AT + 1))
-        placed = optimise_graph(replace(case.problem, is_doubted=doubted))
-        np.testing.assert_array_equal(believed(placed, case.problem), case.is_true)
+        registered = optimise_graph(replace(case.problem, is_doubted=doubted))
+        np.testing.assert_array_equal(believed(registered, case.problem), case.is_true)
 
 
 @pytest.mark.parametrize("is_copied", [False, True])
@@ -192,10 +192,10 @@ def test_neither_two_loops_nor_loops_to_two_places_join_parts(
     problem = cut(problem, AT) if is_cut else with_wrong_motion(problem, AT, WRONG)
     loops = _across(problem)
     chosen = [*loops, *_copies(problem, loops)] if is_copied else loops[:2]
-    placed = optimise_graph(with_loops(problem, tuple(chosen)))
-    assert placed.wrong == () and set(placed.world.tolist()) == ({0, 1} if is_cut else {0})
-    assert is_copied or len(placed.rejected) == 2
-    np.testing.assert_array_equal(placed.world_from_cam, problem.odom_from_cam)
+    registered = optimise_graph(with_loops(problem, tuple(chosen)))
+    assert registered.wrong == () and set(registered.world.tolist()) == ({0, 1} if is_cut else {0})
+    assert is_copied or len(registered.rejected) == 2
+    np.testing.assert_array_equal(registered.world_from_cam, problem.odom_from_cam)
 
 
 def test_several_wrong_motions_are_mended() -> None:
@@ -203,9 +203,9 @@ def test_several_wrong_motions_are_mended() -> None:
     problem = with_wrong_motion(case.problem, 60, WRONG)
     problem = with_wrong_motion(problem, AT, sim3.inverse(WRONG))
     problem = with_wrong_motion(problem, AT + 1, WRONG)
-    placed = optimise_graph(problem)
-    assert placed.wrong == tuple(PlaceKey(0, n) for n in (60, AT, AT + 1))
-    error = np.linalg.norm(placed.world_from_cam[:, :3, 3] - case.truth[:, :3, 3], axis=1)
+    registered = optimise_graph(problem)
+    assert registered.wrong == tuple(PlaceKey(0, n) for n in (60, AT, AT + 1))
+    error = np.linalg.norm(registered.world_from_cam[:, :3, 3] - case.truth[:, :3, 3], axis=1)
     assert np.median(error) < 0.5
 
 
@@ -217,11 +217,13 @@ def test_only_repairs_that_images_do_not_confirm_are_taken_back(threads: int) ->
     both = replace(case, problem=with_wrong_motion(problem, AT, WRONG))
     graph = _graph(both, threads)
     graph.submit(both.problem.loops)
-    placed = graph.result(lambda placed: [key for key in placed.wrong if key.keyframe == AT])
+    registered = graph.result(
+        lambda registered: [key for key in registered.wrong if key.keyframe == AT]
+    )
     graph.close()
     expected = _in_graph(first, threads)
-    assert placed.wrong == expected.wrong == (PlaceKey(0, 60),)
-    np.testing.assert_array_equal(placed.world_from_cam, expected.world_from_cam)
+    assert registered.wrong == expected.wrong == (PlaceKey(0, 60),)
+    np.testing.assert_array_equal(registered.world_from_cam, expected.world_from_cam)
 
 
 def test_a_removed_keyframe_hands_its_doubt_on() -> None:
@@ -250,17 +252,17 @@ def _copies(problem: GraphProblem, loops: Sequence[Loop]) -> list[Loop]:
 def test_metric_and_other_segments_stay_apart() -> None:
     problem = cut(laps(4).problem, 150)
     is_metric = np.arange(300) < 150
-    placed = optimise_graph(replace(problem, is_metric=is_metric))
-    assert set(placed.world.tolist()) == {0, 1}
+    registered = optimise_graph(replace(problem, is_metric=is_metric))
+    assert set(registered.world.tolist()) == {0, 1}
 
 
 def test_unknown_covariances_do_no_harm() -> None:
     case = laps(5)
     covariance = case.problem.covariance.copy()
     covariance[::7] = np.nan
-    placed = optimise_graph(replace(case.problem, covariance=covariance))
-    assert believed(placed, case.problem).all()
-    assert case.error_m(placed) < case.odometry_error_m()
+    registered = optimise_graph(replace(case.problem, covariance=covariance))
+    assert believed(registered, case.problem).all()
+    assert case.error_m(registered) < case.odometry_error_m()
 
 
 def test_the_same_bits_come_out_again_and_of_another_process() -> None:
@@ -284,12 +286,12 @@ def test_a_loaded_map_stays_as_it_is() -> None:
     for n in range(150, 300):
         graph.add_keyframe(_place(whole, n, session=1, segment=0))
     graph.submit([replace(loop, later=PlaceKey(1, loop.later.keyframe)) for loop in _across(whole)])
-    placed = graph.result()
-    assert set(placed.world.tolist()) == {0}
+    registered = graph.result()
+    assert set(registered.world.tolist()) == {0}
     np.testing.assert_allclose(
-        placed.world_from_cam[:150], stored.world_from_cam, rtol=0, atol=1e-9
+        registered.world_from_cam[:150], stored.world_from_cam, rtol=0, atol=1e-9
     )
-    apart = placed.world_from_cam[150:, :3, 3] - case.truth[150:, :3, 3]
+    apart = registered.world_from_cam[150:, :3, 3] - case.truth[150:, :3, 3]
     assert np.sqrt((apart**2).sum(axis=1).mean()) < 2.0 * case.odometry_error_m()
 
 
@@ -300,10 +302,10 @@ def test_culled_keyframes_leave_the_others_where_they_are() -> None:
     graph = _graph(case, threads=1)
     graph.remove_keyframes([PlaceKey(0, n) for n in range(1, 299, 2)], case.problem.loops)
     graph.submit(case.problem.loops)
-    placed = graph.result()
+    registered = graph.result()
     left = [n for n in range(300) if n % 2 == 0 or n == 299 or PlaceKey(0, n) in ends]
-    assert [key.keyframe for key in placed.keys] == left
-    apart = placed.world_from_cam[:, :3, 3] - expected.world_from_cam[left, :3, 3]
+    assert [key.keyframe for key in registered.keys] == left
+    apart = registered.world_from_cam[:, :3, 3] - expected.world_from_cam[left, :3, 3]
     assert np.abs(apart).max() < 0.02
 
 
@@ -321,12 +323,12 @@ def test_inertial_poses_give_their_segment_metres_and_take_part_in_the_graph() -
         graph.add_keyframe(_place(scaled, n, session=0, segment=int(n >= 150)))
     known = [n for n in range(10, 300) if n % 3]
     graph.submit(loops, {PlaceKey(0, n): InertialPose(0, case.truth[n], 2.0) for n in known})
-    placed = graph.result()
-    assert set(placed.world.tolist()) == {0}
-    assert not placed.rejected
-    np.testing.assert_allclose(placed.world_from_cam, case.truth, rtol=0, atol=1e-4)
-    np.testing.assert_allclose(placed.scale, 2.0, rtol=1e-4)
-    assert np.isfinite(placed.covariance).all()
+    registered = graph.result()
+    assert set(registered.world.tolist()) == {0}
+    assert not registered.rejected
+    np.testing.assert_allclose(registered.world_from_cam, case.truth, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(registered.scale, 2.0, rtol=1e-4)
+    assert np.isfinite(registered.covariance).all()
 
 
 def test_a_loop_with_an_unknown_keyframe_is_an_error() -> None:
@@ -336,12 +338,12 @@ def test_a_loop_with_an_unknown_keyframe_is_an_error() -> None:
         optimise_graph(with_loops(problem, (stranger,)))
 
 
-def _in_graph(case: Laps, threads: int) -> PlacedKeyframes:
+def _in_graph(case: Laps, threads: int) -> RegisteredKeyframes:
     graph = _graph(case, threads)
     graph.submit(case.problem.loops)
-    placed = graph.result()
+    registered = graph.result()
     graph.close()
-    return placed
+    return registered
 
 
 def _graph(case: Laps, threads: int) -> PoseGraph:

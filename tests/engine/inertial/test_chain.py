@@ -20,7 +20,7 @@ from inertial_flight import (
 
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats
-from vo.engine.inertial.chain import InertialChain, Node, Placed, certain
+from vo.engine.inertial.chain import InertialChain, KeyframeStates, Node, certain
 from vo.engine.inertial.initialisation import NotYet
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS as ACCEL_COLUMNS
@@ -45,19 +45,19 @@ def _nodes(count: int, poses: Floats, segments: list[int] | None = None) -> list
     ]
 
 
-def _camera_positions(placed: Placed) -> Floats:
-    states = placed.estimate.states
+def _camera_positions(solved: KeyframeStates) -> Floats:
+    states = solved.estimate.states
     return states.position + states.rotation @ IMU_FROM_CAM[:3, 3]
 
 
-def _error_m(placed: Placed, count: int) -> float:
+def _error_m(solved: KeyframeStates, count: int) -> float:
     """Largest error of a position relative to the first and its heading."""
     truth = world_from_cam(keyframe_stamps(count))
-    first = inverse(truth[placed.nodes[0].keyframe])
-    expected = (first @ truth)[placed.nodes[0].keyframe : placed.nodes[-1].keyframe + 1, :3, 3]
-    states = placed.estimate.states
+    first = inverse(truth[solved.nodes[0].keyframe])
+    expected = (first @ truth)[solved.nodes[0].keyframe : solved.nodes[-1].keyframe + 1, :3, 3]
+    states = solved.estimate.states
     start = states.rotation[0] @ IMU_FROM_CAM[:3, :3]
-    found = (_camera_positions(placed) - _camera_positions(placed)[0]) @ start
+    found = (_camera_positions(solved) - _camera_positions(solved)[0]) @ start
     return float(np.abs(found - expected).max())
 
 
@@ -67,11 +67,11 @@ def test_exact_measurements_give_the_exact_path() -> None:
     for node in _nodes(45, poses):
         chain.set(node)
         chain.update()
-    placed = chain.finish()
-    assert placed is not None and chain.reason is None
-    assert len(placed.nodes) == 45 and _error_m(placed, 45) < 2e-3
+    solved = chain.finish()
+    assert solved is not None and chain.reason is None
+    assert len(solved.nodes) == 45 and _error_m(solved, 45) < 2e-3
     assert chain.initialised_frame is not None and 30 <= chain.initialised_frame <= 150
-    np.testing.assert_allclose(placed.estimate.states.gyro_bias, [GYRO_BIAS] * 45, atol=5e-5)
+    np.testing.assert_allclose(solved.estimate.states.gyro_bias, [GYRO_BIAS] * 45, atol=5e-5)
 
 
 def test_window_says_what_all_keyframes_together_say() -> None:
@@ -107,9 +107,9 @@ def test_drifting_scale_is_followed() -> None:
     for node in _nodes(45, np.stack(poses)):
         chain.set(node)
         chain.update()
-    placed = chain.finish()
-    assert placed is not None
-    found = np.exp(placed.estimate.states.log_scale[:-1])
+    solved = chain.finish()
+    assert solved is not None
+    found = np.exp(solved.estimate.states.log_scale[:-1])
     assert np.abs(found / drift - 1.0).max() < 0.015
 
 
@@ -126,12 +126,12 @@ def test_segments_are_joined_across_a_short_gap() -> None:
     for node in (*nodes[:first], *nodes[first + 2 :]):
         chain.set(node)
         chain.update()
-    placed = chain.finish()
-    assert placed is not None and len(placed.nodes) == count - 2 and placed.world == 0
-    assert certain(placed) == list(range(count - 2))
-    np.testing.assert_allclose(np.exp(placed.estimate.states.log_scale[-1]), 2.0, rtol=0.02)
-    truth_m = truth[[n.keyframe for n in placed.nodes], :3, 3]
-    found = _camera_positions(placed)
+    solved = chain.finish()
+    assert solved is not None and len(solved.nodes) == count - 2 and solved.world == 0
+    assert certain(solved) == list(range(count - 2))
+    np.testing.assert_allclose(np.exp(solved.estimate.states.log_scale[-1]), 2.0, rtol=0.02)
+    truth_m = truth[[n.keyframe for n in solved.nodes], :3, 3]
+    found = _camera_positions(solved)
     spread = np.linalg.norm(found[-1] - found[0]) / np.linalg.norm(truth_m[-1] - truth_m[0])
     assert abs(spread - 1.0) < 0.02
 
@@ -146,8 +146,8 @@ def test_a_long_gap_begins_a_new_world() -> None:
     for node in (*nodes[:20], *nodes[28:]):  # 4.5 s
         chain.set(node)
         chain.update()
-    placed = chain.finish()
-    assert placed is not None and placed.world == 1 and placed.nodes[0].keyframe == 28
+    solved = chain.finish()
+    assert solved is not None and solved.world == 1 and solved.nodes[0].keyframe == 28
 
 
 def test_frames_tracked_anew_are_forgotten() -> None:
@@ -162,8 +162,8 @@ def test_frames_tracked_anew_are_forgotten() -> None:
     for node in nodes[15:]:
         chain.set(replace(node, keyframe=node.keyframe + 10))
         chain.update()
-    placed = chain.finish()
-    assert placed is not None and _error_m(replace(placed, nodes=tuple(nodes)), 20) < 2e-3
+    solved = chain.finish()
+    assert solved is not None and _error_m(replace(solved, nodes=tuple(nodes)), 20) < 2e-3
 
 
 def test_missing_samples_are_bridged_by_images() -> None:
@@ -178,8 +178,8 @@ def test_missing_samples_are_bridged_by_images() -> None:
     for node in _nodes(45, poses):
         chain.set(node)
         chain.update()
-    placed = chain.finish()
-    assert placed is not None and len(placed.nodes) == 45 and _error_m(placed, 45) < 5e-3
+    solved = chain.finish()
+    assert solved is not None and len(solved.nodes) == 45 and _error_m(solved, 45) < 5e-3
 
 
 def test_states_follow_a_replaced_time_offset() -> None:
@@ -196,12 +196,12 @@ def test_states_follow_a_replaced_time_offset() -> None:
     chain.read_again()
     if not chain.is_initialised:
         chain.update()
-    placed, expected = chain.finish(), _finished(_chain(source), _nodes(45, poses))
-    assert placed is not None and len(placed.nodes) == 45
+    solved, expected = chain.finish(), _finished(_chain(source), _nodes(45, poses))
+    assert solved is not None and len(solved.nodes) == 45
     np.testing.assert_allclose(
-        placed.estimate.states.position, expected.estimate.states.position, atol=5e-3
+        solved.estimate.states.position, expected.estimate.states.position, atol=5e-3
     )
-    assert abs(placed.estimate.misfit - expected.estimate.misfit) < 0.02
+    assert abs(solved.estimate.misfit - expected.estimate.misfit) < 0.02
 
 
 def test_first_states_are_searched_anew_by_another_offset() -> None:
@@ -216,18 +216,18 @@ def test_first_states_are_searched_anew_by_another_offset() -> None:
     clock.time_offset_s = 0.04
     chain.restart()
     assert not chain.is_initialised and chain.initialised_frame is None
-    placed = chain.update()
-    assert placed is not None and chain.initialised_frame == 190
-    np.testing.assert_allclose(np.exp(placed.estimate.states.log_scale), _SCALE, rtol=2e-3)
+    solved = chain.update()
+    assert solved is not None and chain.initialised_frame == 190
+    np.testing.assert_allclose(np.exp(solved.estimate.states.log_scale), _SCALE, rtol=2e-3)
 
 
-def _finished(chain: InertialChain, nodes: list[Node]) -> Placed:
+def _finished(chain: InertialChain, nodes: list[Node]) -> KeyframeStates:
     for node in nodes:
         chain.set(node)
         chain.update()
-    placed = chain.finish()
-    assert placed is not None
-    return placed
+    solved = chain.finish()
+    assert solved is not None
+    return solved
 
 
 def test_reason_is_known_before_first_states() -> None:
@@ -272,13 +272,13 @@ def test_a_new_world_begins_with_the_biases_of_the_one_before() -> None:
     nodes = _nodes(count, poses, [0] * first + [1] * (count - first))
     later = nodes[first + gap : first + gap + 9]  # 4 s
 
-    def added(chain: InertialChain, rows: list[Node]) -> Placed:
+    def added(chain: InertialChain, rows: list[Node]) -> KeyframeStates:
         for node in rows:
             chain.set(node)
             chain.update()
-        placed = chain.finish()
-        assert placed is not None and placed.world == 1
-        return placed
+        solved = chain.finish()
+        assert solved is not None and solved.world == 1
+        return solved
 
     alone = added(_chain(source), later)
     after = added(_chain(source), [*nodes[:first], *later])

@@ -162,9 +162,9 @@ def _errors(
             poses[k:] = poses[k - 1] @ motion @ inverse(poses[k]) @ poses[k:]
         chain.set(Node(k, k, int(stamps[k]), 0, poses[k], covariance))
         chain.update()
-    placed = chain.finish()
-    assert placed is not None and len(placed.nodes) == _KEYFRAMES
-    estimate = placed.estimate
+    solved = chain.finish()
+    assert solved is not None and len(solved.nodes) == _KEYFRAMES
+    estimate = solved.estimate
     return estimate.states.since(_true_states(stamps, biases, scale)), estimate.covariance
 
 

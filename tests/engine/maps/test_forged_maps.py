@@ -21,7 +21,7 @@ from vo.cli.app import app
 from vo.engine.maps import map_file
 from vo.engine.maps.map_file import MapFile, MapHeader, write_map
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.records import Loop, MarkerVisit, Place, PlacedKeyframes
+from vo.engine.places.records import Loop, MarkerVisit, Place, RegisteredKeyframes
 from vo.tools.maps.contents import map_contents
 
 RANDOM = np.random.default_rng(4)
@@ -32,24 +32,24 @@ LOOP = Loop(KEYS[0], KEYS[2], np.eye(4), 1.0, np.eye(7), 42)
 MARKER = MarkerVisit(KEYS[1], 7, "4X4_1000", 0.16, np.eye(4), 1e-4 * np.eye(7), 5)
 
 
-def _placed(**changes: Any) -> PlacedKeyframes:
+def _placed(**changes: Any) -> RegisteredKeyframes:
     poses = np.stack([np.eye(4)] * 3)
     rows = (np.zeros(3, np.int64), poses, np.ones(3), np.zeros((3, 6, 6)))
-    return replace(PlacedKeyframes(KEYS, *rows, rejected=()), **changes)
+    return replace(RegisteredKeyframes(KEYS, *rows, rejected=()), **changes)
 
 
 def _write(
     path: Path,
     *,
     second: Place = PLACES[1],
-    placed: PlacedKeyframes | None = None,
+    registered: RegisteredKeyframes | None = None,
     loop: Loop = LOOP,
     header: MapHeader = HEADER,
     marker: MarkerVisit = MARKER,
 ) -> None:
     places = PLACES[0], second, PLACES[2]
     encoded = [(key, encode_place(place)) for key, place in zip(KEYS, places, strict=True)]
-    write_map(path, header, encoded, placed or _placed(), [loop], [marker])
+    write_map(path, header, encoded, registered or _placed(), [loop], [marker])
 
 
 def _read(path: Path) -> None:
@@ -148,7 +148,7 @@ PLACEMENTS = {
 
 @pytest.mark.parametrize("changes", PLACEMENTS.values(), ids=PLACEMENTS.keys())
 def test_an_impossible_placement_is_one_error(changes: dict[str, Any], tmp_path: Path) -> None:
-    _write(tmp_path / "a.map", placed=_placed(**changes))
+    _write(tmp_path / "a.map", registered=_placed(**changes))
     _is_damaged(tmp_path / "a.map")
 
 

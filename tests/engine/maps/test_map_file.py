@@ -17,14 +17,14 @@ from vo.base.types import Camera
 from vo.engine.geometry.sim3 import similarity
 from vo.engine.maps.map_file import MapFile, MapHeader, write_map
 from vo.engine.places.encoding import decode_place, encode_place
-from vo.engine.places.records import Loop, MarkerVisit, PlacedKeyframes
+from vo.engine.places.records import Loop, MarkerVisit, RegisteredKeyframes
 
 RANDOM = np.random.default_rng(3)
 PLACES = [make_place(n, random_descriptors(RANDOM, 40), segment=n // 3) for n in range(6)]
 KEYS = tuple(place.key for place in PLACES)
 HEADER = MapHeader(Camera(320, 240, 200.0, 201.0, 160.5, 120.5), "00e2", ("street", "room"))
 POSES = np.stack([se3_exp(tangent) for tangent in RANDOM.normal(size=(6, 6))])
-PLACED = PlacedKeyframes(
+PLACED = RegisteredKeyframes(
     KEYS,
     np.array([0, 0, 0, 1, 1, 1]),
     POSES,
@@ -79,7 +79,9 @@ def test_the_same_map_has_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_an_empty_map_is_a_map(tmp_path: Path) -> None:
-    none = PlacedKeyframes((), *(np.zeros(s) for s in (0, (0, 4, 4), 0, (0, 6, 6))), rejected=())
+    none = RegisteredKeyframes(
+        (), *(np.zeros(s) for s in (0, (0, 4, 4), 0, (0, 6, 6))), rejected=()
+    )
     write_map(tmp_path / "a", HEADER, [], none)
     with MapFile(tmp_path / "a") as read:
         assert len(read) == len(read.loops) == 0

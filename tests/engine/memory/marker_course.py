@@ -14,7 +14,7 @@ from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.markers.marker_problem import MarkerView, square_points
 from vo.engine.memory.marker_loops import MarkerLoops
-from vo.engine.places.records import Loop, PathKeyframe, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, PathKeyframe, PlaceKey, RegisteredKeyframes
 from vo.tools.markers.plane_pose import plane_pose
 
 CAMERA = Camera(640, 480, 400.0, 400.0, 319.5, 239.5)
@@ -82,7 +82,7 @@ class Course:
     loops: list[Loop] = field(default_factory=list)
     before: Course | None = None
 
-    def placed(self) -> PlacedKeyframes:
+    def placed(self) -> RegisteredKeyframes:
         graph = PoseGraph()
         if self.before is not None:
             placed = self.before.placed()

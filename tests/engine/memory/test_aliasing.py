@@ -15,13 +15,13 @@ from vo.base.config import load_config
 from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Descriptors
 from vo.engine.backend.pose_graph import PoseGraph
+from vo.engine.loop_verification.loop_verifier import LoopVerifier
+from vo.engine.loop_verification.screening import Screening
 from vo.engine.maps.map_file import MapFile
 from vo.engine.memory.recognition import Recogniser
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, Place, PlaceKey, RegisteredKeyframes
 from vo.engine.places.vocabulary_file import built_in_vocabulary
-from vo.engine.verification.loop_verifier import LoopVerifier
-from vo.engine.verification.screening import Screening
 
 FIRST_ROUND, SECOND_ROUND = 115, 135  # its last frame, and the first one of the next round
 CORRIDOR = 8  # keyframes
@@ -86,7 +86,7 @@ def _corridor(places: Sequence[Place], visit: int) -> list[Place]:
 
 def _placed(
     places: Sequence[Place], camera: Camera, *, by_images: bool = True
-) -> tuple[PlacedKeyframes, int]:
+) -> tuple[RegisteredKeyframes, int]:
     """Where the pose graph has the keyframes, and the number of its loops."""
     scale_factor = load_config("default").features.scale_factor
     graph, loops = PoseGraph(), list[Loop]()
@@ -100,8 +100,8 @@ def _placed(
             loops += recognised.loops
             graph.remove_keyframes(recognised.removed, loops)
         graph.submit(loops)
-        placed = graph.result(recogniser.unconfirmed) if by_images else graph.result()
-        return placed, len(loops)
+        registered = graph.result(recogniser.unconfirmed) if by_images else graph.result()
+        return registered, len(loops)
 
 
 def test_a_walk_between_two_copies_of_a_room_closes_no_loop(
@@ -130,10 +130,10 @@ def _with_wrong_motion(places: Sequence[Place], *, is_doubted: bool) -> list[Pla
 
 
 def _is_first_left(
-    wrong: Sequence[PlaceKey], places: Sequence[Place], placed: PlacedKeyframes
+    wrong: Sequence[PlaceKey], places: Sequence[Place], registered: RegisteredKeyframes
 ) -> bool:
     """Whether the motion to the first keyframe that was not removed as redundant is wrong."""
-    left = [place.key for place in places if place.key in placed.keys]
+    left = [place.key for place in places if place.key in registered.keys]
     return tuple(wrong) == (left[0],)
 
 
@@ -151,8 +151,8 @@ def test_loops_mend_a_wrong_motion_only_where_it_is_doubted(
     size = np.ptp(right.world_from_cam[:, :3, 3], axis=0).max()
     both = [key for key in mended.keys if key in right.keys]
     positions = (
-        placed.world_from_cam[[placed.keys.index(key) for key in both], :3, 3]
-        for placed in (mended, right)
+        registered.world_from_cam[[registered.keys.index(key) for key in both], :3, 3]
+        for registered in (mended, right)
     )
     apart = np.subtract(*positions)
     assert len(both) > 20
@@ -181,8 +181,8 @@ def test_a_doubted_motion_between_two_copies_that_were_seen_closes_no_loop(
     copy = [*_corridor(first, 1), *_elsewhere(first, 2, 0, APART)]
     again = _elsewhere(second, 3, 0, APART / 2)  # by odometry in neither of them
     again[0] = replace(again[0], is_doubted=True)
-    placed, count = _placed([*first, *copy, *again], camera)
-    assert len(placed.rejected) == count >= 6 and not placed.wrong
+    registered, count = _placed([*first, *copy, *again], camera)
+    assert len(registered.rejected) == count >= 6 and not registered.wrong
 
 
 def test_a_lost_camera_in_one_of_two_copies_is_not_merged_with_either(

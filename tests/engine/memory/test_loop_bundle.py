@@ -13,7 +13,7 @@ from vo.base.types import Floats, Keypoints
 from vo.engine.mapping.keyframe import FrameId, Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.memory.loop_bundle import LoopBundle
-from vo.engine.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
 _CAMERA = Intrinsics(200.0, 200.0, 160.0, 100.0)
 _COUNT = 40
@@ -125,11 +125,11 @@ def _loop(truth: Floats, drifted: Floats, scale: Floats, earlier: int, later: in
     return Loop(*keys, relation, ratio, covariance, 100)
 
 
-def _placed(circle: _Circle) -> PlacedKeyframes:
+def _placed(circle: _Circle) -> RegisteredKeyframes:
     """Where a pose graph without a drift of the scale would leave them: as by odometry."""
     keys = tuple(PlaceKey(0, k) for k in range(_COUNT))
     covariance = np.tile(1e-4 * np.eye(6), (_COUNT, 1, 1))
-    return PlacedKeyframes(
+    return RegisteredKeyframes(
         keys, np.zeros(_COUNT, np.int64), circle.drifted, np.ones(_COUNT), covariance, ()
     )
 
@@ -142,15 +142,15 @@ def _error(truth: Floats, poses: Floats) -> float:
 
 def test_the_drift_of_the_scale_is_removed() -> None:
     circle = _circle()
-    placed = _placed(circle)
-    assert _error(circle.truth, placed.world_from_cam) > 0.1
-    adjusted = circle.bundle.adjusted(placed, circle.loops)
+    registered = _placed(circle)
+    assert _error(circle.truth, registered.world_from_cam) > 0.1
+    adjusted = circle.bundle.adjusted(registered, circle.loops)
     assert adjusted is not None
     assert _error(circle.truth, adjusted.world_from_cam) < 0.01
-    np.testing.assert_array_equal(adjusted.world_from_cam[0], placed.world_from_cam[0])
+    np.testing.assert_array_equal(adjusted.world_from_cam[0], registered.world_from_cam[0])
     before, after = (
         np.linalg.norm(np.diff(p.world_from_cam[:, :3, 3], axis=0), axis=1).sum()
-        for p in (placed, adjusted)
+        for p in (registered, adjusted)
     )
     np.testing.assert_allclose(after, before, rtol=1e-9)
     # The unit of each keyframe's odometry has grown as the scale drifted.
@@ -160,7 +160,7 @@ def test_the_drift_of_the_scale_is_removed() -> None:
 
 def test_a_world_without_a_loop_or_without_observations_is_left_alone() -> None:
     circle = _circle()
-    placed = _placed(circle)
-    assert circle.bundle.adjusted(placed, []) is None
+    registered = _placed(circle)
+    assert circle.bundle.adjusted(registered, []) is None
     circle.bundle.remove_from(_COUNT - 1)  # the last keyframe is tracked anew
-    assert circle.bundle.adjusted(placed, circle.loops) is None
+    assert circle.bundle.adjusted(registered, circle.loops) is None

@@ -143,7 +143,7 @@ def test_a_full_disk_ends_the_search_for_loops_and_not_the_run(
     rounds: Path, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = partial(KeyframeDatabase, memory_bytes=0, folder=tmp_path / "missing")
-    monkeypatch.setattr("vo.engine.memory.creation.KeyframeDatabase", full)
+    monkeypatch.setattr("vo.engine.memory.memory_creation.KeyframeDatabase", full)
     summary = run_rounds(rounds, tmp_path / "out")
     assert (summary["status"], summary["loops"]) == ("finished", [])
     path = (tmp_path / "out" / "trajectory.tum").read_bytes()

@@ -36,10 +36,10 @@ def test_a_marker_seen_again_takes_the_drift_away(is_metric: bool, ratio: float)
     before, after = [], []
     for seed in range(6):
         course = simulate({7: [SEVEN], 3: [THREE]}, seed=seed, is_metric=is_metric)
-        placed = course.placed()
-        assert placed.rejected == ()
+        registered = course.placed()
+        assert registered.rejected == ()
         before.append(course.error_m(course.odometry))
-        after.append(course.error_m(placed.world_from_cam))
+        after.append(course.error_m(registered.world_from_cam))
     assert np.mean(after) < ratio * np.mean(before)
 
 
@@ -57,26 +57,26 @@ def test_the_covariance_of_a_loop_holds_its_error() -> None:
 
 def test_a_marker_that_was_moved_closes_no_loop_and_is_named() -> None:
     course = simulate({7: [SEVEN, marker_at(TRUTH, 8, 1.0)]}, moved_at=60)
-    placed = course.placed()
-    assert len(placed.rejected) == len(course.loops) == 3  # also the true one
-    np.testing.assert_array_equal(placed.world_from_cam, course.odometry)
+    registered = course.placed()
+    assert len(registered.rejected) == len(course.loops) == 3  # also the true one
+    np.testing.assert_array_equal(registered.world_from_cam, course.odometry)
     (note,) = course.markers.notes
     assert note.startswith("marker 7 closes no loop") and "it was moved" in note
 
 
 def test_another_marker_closes_its_loops_beside_one_that_was_moved() -> None:
     course = simulate({7: [SEVEN, marker_at(TRUTH, 8, 1.0)], 3: [THREE]}, moved_at=60)
-    placed = course.placed()
-    assert {loop.marker for loop in placed.rejected} == {7}
+    registered = course.placed()
+    assert {loop.marker for loop in registered.rejected} == {7}
     assert len(course.loops) == 4
-    assert course.error_m(placed.world_from_cam) < course.error_m(course.odometry)
+    assert course.error_m(registered.world_from_cam) < course.error_m(course.odometry)
 
 
 def test_two_markers_of_one_id_close_no_loop() -> None:
     course = simulate({7: [SEVEN, THREE]}, moved_at=0)
-    placed = course.placed()
-    assert len(placed.rejected) == len(course.loops) > 3
-    np.testing.assert_array_equal(placed.world_from_cam, course.odometry)
+    registered = course.placed()
+    assert len(registered.rejected) == len(course.loops) > 3
+    np.testing.assert_array_equal(registered.world_from_cam, course.odometry)
     assert len(course.markers.notes) == 1
 
 
@@ -91,9 +91,9 @@ def test_two_markers_of_one_id_in_one_image_take_its_loops_back() -> None:
 @pytest.mark.parametrize("is_metric", [True, False])
 def test_segments_that_see_the_same_marker_become_one_world(is_metric: bool) -> None:
     course = simulate({7: [SEVEN]}, is_metric=is_metric, cut=90)
-    placed = course.placed()
-    assert set(placed.world.tolist()) == {0}
-    assert course.error_m(placed.world_from_cam) < 0.3  # m, of a path of 88 m
+    registered = course.placed()
+    assert set(registered.world.tolist()) == {0}
+    assert course.error_m(registered.world_from_cam) < 0.3  # m, of a path of 88 m
 
 
 def test_segments_are_merged_by_three_keyframes_not_by_two() -> None:

@@ -211,12 +211,14 @@ def test_frames_by_an_inertial_sensor_are_in_the_path_and_marked() -> None:
 
 def test_frames_by_an_inertial_sensor_move_with_the_keyframe_before_them() -> None:
     store = _with_a_gap()
-    store.place(np.array([1]), np.array([0]), _pose(4)[None], np.array([2.0]), np.zeros((1, 6, 6)))
+    store.move_keyframes(
+        np.array([1]), np.array([0]), _pose(4)[None], np.array([2.0]), np.zeros((1, 6, 6))
+    )
     store.add_inertial([_inertial(5)])
     np.testing.assert_allclose(store.trajectory().world_from_cam[5], _pose(5), atol=1e-12)
     move = se3_exp(np.array([0.1, 0.2, -0.1, 3.0, -1.0, 2.0]))
     moved = (move @ _pose(4))[None]
-    store.place(np.array([1]), np.array([0]), moved, np.array([2.0]), np.zeros((1, 6, 6)))
+    store.move_keyframes(np.array([1]), np.array([0]), moved, np.array([2.0]), np.zeros((1, 6, 6)))
     np.testing.assert_allclose(store.trajectory().world_from_cam[5], move @ _pose(5), atol=1e-12)
 
 
@@ -245,7 +247,9 @@ def test_keyframes_that_are_stored_together_are_as_if_stored_one_by_one() -> Non
         for number, pose in enumerate(poses[:2]):
             store.store(number, pose)
             store.add(number, 100 * number, 0, number, pose.world_from_cam0)
-        store.place(np.array([0]), np.array([0]), _pose(3)[None], np.array([2.0]), np.eye(6)[None])
+        store.move_keyframes(
+            np.array([0]), np.array([0]), _pose(3)[None], np.array([2.0]), np.eye(6)[None]
+        )
         store.take_changes()
         store.take_moved()
     stores[0].store_all(range(5), moved)
@@ -266,7 +270,7 @@ def test_keyframes_that_are_stored_together_are_as_if_stored_one_by_one() -> Non
 def test_what_the_path_would_be_changes_nothing() -> None:
     store = _with_a_gap()
     here = np.array([1]), np.array([0])
-    store.place(*here, _pose(4)[None], np.array([2.0]), 1e-4 * np.eye(6)[None])
+    store.move_keyframes(*here, _pose(4)[None], np.array([2.0]), 1e-4 * np.eye(6)[None])
     store.take_changes(), store.take_moved()
     before, anchor, poses = store.trajectory().world_from_cam, store.anchor(0), store.keyframes()
     move = se3_exp(np.array([0.1, 0.2, -0.1, 3.0, -1.0, 2.0]))

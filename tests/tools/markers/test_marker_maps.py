@@ -23,9 +23,9 @@ from vo.base.types import Floats
 from vo.cli.app import app
 from vo.engine.markers.marker_problem import square_points
 from vo.recordings.formats.trajectory import read_tum
-from vo.tools.markers.map_fit import fit_map, place_in_map
+from vo.tools.markers.map_fit import fit_map, register_in_map
 from vo.tools.markers.marker_map import KnownMarker, MarkerMap, read_marker_map
-from vo.tools.markers.scale_fit import PlacedMarker
+from vo.tools.markers.scale_fit import RegisteredMarker
 
 TURN = so3_exp(np.array([0.4, -1.2, 0.7]))
 POSE = make_transform(TURN, np.array([1.0, -2.0, 0.5]))
@@ -103,7 +103,7 @@ def test_a_table_of_two_worlds_or_without_sides_is_refused(tmp_path: Path) -> No
 
 def _room(
     rng: np.random.Generator, count: int, *, error_m: float = 0.0, metres: float = 1.0
-) -> tuple[list[PlacedMarker], dict[int, KnownMarker], Floats]:
+) -> tuple[list[RegisteredMarker], dict[int, KnownMarker], Floats]:
     """Markers of a world whose metres are wrong by a factor, their map, and map_from_world."""
     map_from_world = make_transform(so3_exp(rng.normal(0, 1, 3)), rng.normal(0, 5, 3))
     placed, known = [], {}
@@ -114,14 +114,14 @@ def _room(
         seen[:3, :3] = so3_exp(rng.normal(0.0, error_m, 3)) @ pose[:3, :3]
         seen[:3, 3] = (pose[:3, 3] + rng.normal(0, error_m, 3)) / metres
         sigma = np.sqrt(3.0) * max(error_m, 1e-4)
-        placed.append(PlacedMarker(number, seen, sigma, 9, 0, 9, 1.0, sigma, 0.16))
+        placed.append(RegisteredMarker(number, seen, sigma, 9, 0, 9, 1.0, sigma, 0.16))
     return placed, known, map_from_world
 
 
 def test_an_exact_map_places_a_world_exactly() -> None:
     for count in (1, 2, 5):
         placed, known, expected = _room(np.random.default_rng(count), count)
-        found = place_in_map(placed, known)
+        found = register_in_map(placed, known)
         np.testing.assert_allclose(found.map_from_world, expected, atol=1e-9)
         on_map = fit_map(placed, known, 0.01)
         assert not isinstance(on_map, str)
@@ -146,7 +146,7 @@ def test_the_stated_sigma_of_the_place_covers_the_truth() -> None:
     inside = 0
     for seed in range(40):
         placed, known, expected = _room(np.random.default_rng(seed), 3, error_m=0.01)
-        found = place_in_map(placed, known)
+        found = register_in_map(placed, known)
         turned = rotation_angle(found.map_from_world[:3, :3] @ expected[:3, :3].T)
         middle = np.append(np.mean([m.world_from_marker[:3, 3] for m in placed], axis=0), 1.0)
         off = np.linalg.norm(((found.map_from_world - expected) @ middle)[:3])

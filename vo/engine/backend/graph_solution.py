@@ -20,7 +20,7 @@ from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.loop_edges import LoopEdges, loop_edges, squared_distance
 from vo.engine.geometry import sim3
-from vo.engine.places.records import PlacedKeyframes, PlaceKey
+from vo.engine.places.records import PlaceKey, RegisteredKeyframes
 
 _log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 _MIN_EVIDENCE = 400.0
 
 
-def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
+def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
     """Place all keyframes in worlds, in this process.
 
     Loops must agree with odometry, or, between chains, with each other; across doubted motions they
@@ -50,7 +50,7 @@ def optimise_graph(problem: GraphProblem) -> PlacedKeyframes:
         return unplaced(problem)
 
 
-def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
+def _solved(problem: GraphProblem, loops: LoopEdges) -> RegisteredKeyframes:
     problem = with_contradicted_doubts(problem, loops)
     motions = ChainMotions(problem)
     kept = _true_loops(problem, loops, motions)
@@ -64,7 +64,7 @@ def _solved(problem: GraphProblem, loops: LoopEdges) -> PlacedKeyframes:
     in_world = covariance[:, :6, :6]
     in_world[:, 3:] *= scale[:, None, None]
     in_world[:, :, 3:] *= scale[:, None, None]
-    return PlacedKeyframes(
+    return RegisteredKeyframes(
         tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),
         world,
         rigid,
@@ -182,10 +182,10 @@ def _gauge(problem: GraphProblem, world: Ints, reduced: ReducedGraph) -> Ints:
     return np.asarray(np.flatnonzero(of_first)[first])
 
 
-def unplaced(problem: GraphProblem) -> PlacedKeyframes:
+def unplaced(problem: GraphProblem) -> RegisteredKeyframes:
     """All keyframes where odometry has them, and no loop accepted."""
     count = len(problem.keys)
-    return PlacedKeyframes(
+    return RegisteredKeyframes(
         tuple(PlaceKey(int(s), int(k)) for s, k in problem.keys),
         problem.chain,
         problem.odom_from_cam,

@@ -13,7 +13,7 @@ import numpy as np
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.types import Floats
 from vo.engine.backend.process import SolverProcess
-from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlaceKey, RegisteredKeyframes
 
 if TYPE_CHECKING:  # imported with the first graph: it takes 15 ms
     from vo.engine.backend.graph_problem import GraphProblem
@@ -51,7 +51,7 @@ class PoseGraph:
         self._threads = threads
         self._nodes: dict[PlaceKey, _Node] = {}
         self._first_segment = 0  # number of the chain of the run's segment 0
-        self._process: SolverProcess[GraphProblem, PlacedKeyframes] | None = None
+        self._process: SolverProcess[GraphProblem, RegisteredKeyframes] | None = None
         self._submitted: GraphProblem | None = None
         self._is_in_process = False
 
@@ -68,23 +68,23 @@ class PoseGraph:
             keyframe.is_doubted,
         )
 
-    def add_map(self, placed: PlacedKeyframes, *, is_metric: bool) -> None:
+    def add_map(self, registered: RegisteredKeyframes, *, is_metric: bool) -> None:
         """Add the keyframes of a loaded map, which keep their relative poses.
 
         To be called before any keyframe of the run is added. Worlds of the map keep their numbers,
         and segments of the run are numbered after them.
         """
-        for n, key in enumerate(placed.keys):
+        for n, key in enumerate(registered.keys):
             self._nodes[key] = _Node(
                 key,
-                int(placed.world[n]),
+                int(registered.world[n]),
                 True,
                 is_metric,
-                placed.world_from_cam[n],
-                float(placed.scale[n]),
+                registered.world_from_cam[n],
+                float(registered.scale[n]),
                 np.zeros((6, 6)),
             )
-        self._first_segment = int(placed.world.max(initial=-1)) + 1
+        self._first_segment = int(registered.world.max(initial=-1)) + 1
 
     def remove_keyframes(self, keys: Sequence[PlaceKey], loops: Iterable[Loop] = ()) -> None:
         """Remove culled keyframes; the motions before and after each are joined.
@@ -136,15 +136,15 @@ class PoseGraph:
             self._threads, self._is_in_process = 1, False
 
     def result(
-        self, unconfirmed: Callable[[PlacedKeyframes], Sequence[PlaceKey]] = lambda _: ()
-    ) -> PlacedKeyframes:
+        self, unconfirmed: Callable[[RegisteredKeyframes], Sequence[PlaceKey]] = lambda _: ()
+    ) -> RegisteredKeyframes:
         """Wait for the placed keyframes of the graph that was submitted.
 
         Loops that the graph takes for false are in `rejected`; they may be accepted later, with
         more loops.
 
         Args:
-            unconfirmed: names those of the keyframes `PlacedKeyframes.wrong` whose new motion the
+            unconfirmed: names those keyframes of `RegisteredKeyframes.wrong` whose motion the
                 images do not confirm. Their motions stay as they were.
 
         Raises:
@@ -153,17 +153,17 @@ class PoseGraph:
         if self._submitted is None:
             raise RuntimeError("no graph was submitted")
         problem = self._submitted
-        placed = self._solved(problem)
-        while refused := set(unconfirmed(placed) if placed.wrong else ()) - self._confirmed:
+        registered = self._solved(problem)
+        while refused := set(unconfirmed(registered) if registered.wrong else ()) - self._confirmed:
             trusted = [PlaceKey(*key) in refused for key in problem.keys.tolist()]
             problem = replace(problem, is_doubted=problem.is_doubted & ~np.array(trusted))
             self._start(problem)
-            placed = self._solved(problem)
-        self._confirmed.update(placed.wrong)
+            registered = self._solved(problem)
+        self._confirmed.update(registered.wrong)
         self._submitted = None
-        return placed
+        return registered
 
-    def _solved(self, problem: GraphProblem) -> PlacedKeyframes:
+    def _solved(self, problem: GraphProblem) -> RegisteredKeyframes:
         if self._is_in_process and self._process is not None:
             return self._process.result()
         from vo.engine.backend.graph_solution import optimise_graph
@@ -217,10 +217,10 @@ class PoseGraph:
             chain = self._first_segment + inertial[last.key].world
             for number, node in enumerate(members):
                 last = node if node.key in inertial else last
-                placed = _follow(node, last, inertial[last.key], chain)
+                registered = _follow(node, last, inertial[last.key], chain)
                 if number == 0 and segment != chain:  # no images lead here
-                    placed.covariance = np.full((6, 6), np.nan)
-                result.append(placed)
+                    registered.covariance = np.full((6, 6), np.nan)
+                result.append(registered)
         return sorted(result, key=_order)
 
 

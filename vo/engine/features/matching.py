@@ -97,10 +97,7 @@ def make_matcher(
 ) -> Matcher:
     """The matcher for an extractor's descriptors that the settings name.
 
-    Args:
-        config: settings of matching.
-        extractor: finds the features.
-        features: settings that the extractor was made from, None for one of the caller's own.
+    `features`: settings that the extractor was made from, None for one of the caller's own.
 
     Raises:
         ConfigError: the matcher is made for other features, or its program is not installed.

@@ -59,7 +59,7 @@ class Node:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class KeyframeStates:
     """Keyframes with their states.
 
     Attributes:
@@ -111,7 +111,7 @@ class InertialChain:
         return self._nodes
 
     @property
-    def newest(self) -> Placed | None:
+    def newest(self) -> KeyframeStates | None:
         """The newest keyframes with their states."""
         if self._estimate is None:
             return None
@@ -155,7 +155,7 @@ class InertialChain:
         self._measured = [None] * len(stamps_ns)
         self._tried_ns = None
 
-    def update(self) -> Placed | None:
+    def update(self) -> KeyframeStates | None:
         """Estimate the states of the newest keyframes; None while that is impossible."""
         if self._estimate is not None:
             self._extend(self._estimate)
@@ -169,30 +169,30 @@ class InertialChain:
             return True
         return self._nodes[-1].stamp_ns >= self._tried_ns + _RETRY_NS
 
-    def finish(self) -> Placed | None:
+    def finish(self) -> KeyframeStates | None:
         """Estimate all states of the newest world together, and keep the result."""
-        placed = self._judged()
-        if placed is not None:
-            self._begin, self._estimate = self._origin, placed.estimate
-        return placed
+        solved = self._judged()
+        if solved is not None:
+            self._begin, self._estimate = self._origin, solved.estimate
+        return solved
 
-    def _judged(self, *, is_last: bool = True) -> Placed | None:
+    def _judged(self, *, is_last: bool = True) -> KeyframeStates | None:
         """All states of the newest world, which is complete, after a test of their agreement."""
         try:
-            placed = self.smoothed()
+            solved = self.smoothed()
         except np.linalg.LinAlgError:
             if is_last:  # one of few states that a long gap ends may have no solution
                 self.agreement = Agreement(NotYet.DISAGREEMENT.value)
             return self.newest
-        if placed is not None:
-            states = placed.estimate.states
+        if solved is not None:
+            states = solved.estimate.states
             steps = self._steps(self._origin, self._origin + states.number)
             problem = ChainProblem(steps, self._first_prior(states), self._noise)
             if self.agreement.contradiction is None:
                 self.agreement = agreement(problem, states)
-        return placed
+        return solved
 
-    def smoothed(self) -> Placed | None:
+    def smoothed(self) -> KeyframeStates | None:
         """All states of the newest world, estimated together; None without an estimate.
 
         Its first camera is the origin, so the frame may differ from that of `newest`.
@@ -208,7 +208,7 @@ class InertialChain:
         estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
         return self._placed(self._origin, estimate)
 
-    def _initialise(self) -> Placed | None:
+    def _initialise(self) -> KeyframeStates | None:
         """Search first states with the newest keyframes of one segment."""
         begin, count = self._unbroken_begin(), len(self._nodes)
         intervals = [i for i in self._intervals[begin + 1 :] if i is not None]
@@ -370,10 +370,10 @@ class InertialChain:
             self._imu_from_cam,
         )
 
-    def _placed(self, begin: int, estimate: Estimate) -> Placed:
+    def _placed(self, begin: int, estimate: Estimate) -> KeyframeStates:
         nodes = tuple(self._nodes[begin : begin + estimate.states.number])
         origin = self._nodes[self._origin]
-        return Placed(nodes, estimate, origin.segment, origin.keyframe)
+        return KeyframeStates(nodes, estimate, origin.segment, origin.keyframe)
 
 
 def _covariances(nodes: list[Node]) -> Floats:
@@ -382,9 +382,9 @@ def _covariances(nodes: list[Node]) -> Floats:
     return np.stack([none if n.covariance is None else n.covariance for n in nodes])
 
 
-def certain(placed: Placed) -> list[int]:
+def certain(solved: KeyframeStates) -> list[int]:
     """Rows of the keyframes whose scale is certain enough."""
-    variance = placed.estimate.covariance[:, LOG_SCALE, LOG_SCALE]
+    variance = solved.estimate.covariance[:, LOG_SCALE, LOG_SCALE]
     return np.flatnonzero(np.sqrt(variance.clip(0.0)) < _MAX_SIGMA_LOG_SCALE).tolist()
 
 

@@ -17,7 +17,7 @@ from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats, Ints
-from vo.engine.inertial.chain import InertialChain, Node, Placed, certain
+from vo.engine.inertial.chain import InertialChain, KeyframeStates, Node, certain
 from vo.engine.inertial.initialisation import WRONG, tilt_sigma
 from vo.engine.inertial.prediction import (
     InertialPredictor,
@@ -29,7 +29,7 @@ from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
 from vo.engine.inertial.time_offset import OffsetSearch, different_clocks, measure_time_offset
 from vo.engine.inertial_path.gaps import InertialGaps, tangent_of_cam0
-from vo.engine.inertial_path.placement import EstimatedPose, InertialPlacement
+from vo.engine.inertial_path.map_poses import EstimatedPose, InertialMapPoses
 from vo.engine.inertial_path.turns import InertialTurns
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.keyframe_motion import motion_covariances
@@ -47,15 +47,10 @@ class InertialAlignment:
 
     Attributes:
         stopwatch: measures the stage `inertial`.
-        placement: where the keyframes of a single camera are by the sensor.
+        map_poses: where the keyframes of a single camera are by the sensor.
         contradiction: after `finish`, how it contradicts the images; None where it does not.
 
-    Args:
-        reader: of a sensor with known extrinsics; its time offset is replaced where it is wrong.
-        predictor: is told the newest states.
-        rig: the rectified cameras.
-        trajectory: follows.
-        stopwatch: measures the stages.
+    `reader`: of a sensor with known extrinsics; its time offset is replaced where it is wrong.
     """
 
     def __init__(
@@ -93,7 +88,7 @@ class InertialAlignment:
             self._imu_from_cam0,
         )
         self._newest = -1  # id of the newest keyframe whose states were estimated
-        self.placement = InertialPlacement(trajectory, rig.cam0_from_rectified)
+        self.map_poses = InertialMapPoses(trajectory, rig.cam0_from_rectified)
         # Of later segments of a metric path: the first segment of their world, and the transform
         # from their odometry frame to its own.
         self._joints: dict[int, tuple[int, Floats]] = {}
@@ -110,8 +105,8 @@ class InertialAlignment:
             used_time_offset_s=self._reader.time_offset_s,
             given_time_offset_s=self._reader.sensor.time_offset_s,
         )
-        placed = self._chain.newest
-        if placed is None:
+        solved = self._chain.newest
+        if solved is None:
             reason = self._chain.reason
             text = None if reason is None else reason.value
             is_error = reason in WRONG or found is not None
@@ -121,8 +116,8 @@ class InertialAlignment:
             reason=found,
             is_error=found is not None,
             first_frame=self._chain.initialised_frame,
-            metric_worlds=tuple(sorted(self.placement.metric_worlds)),
-            states=self._states(placed),
+            metric_worlds=tuple(sorted(self.map_poses.metric_worlds)),
+            states=self._states(solved),
         )
 
     @timed("inertial")
@@ -133,15 +128,15 @@ class InertialAlignment:
             return
         self._newest = keyframes[-1].id
         self._set(keyframes)
-        placed = self._chain.update()
+        solved = self._chain.update()
         frames = len(self._trajectory.store.frames)
-        is_due = self._offset.is_due(frames, has_states=placed is not None)
+        is_due = self._offset.is_due(frames, has_states=solved is not None)
         if is_due and self._measure_offset():
             self._chain.restart()
-            placed = self._chain.update()
-        self._place(placed)
-        self._gaps.remember(placed)
-        self._predictor.known = None if placed is None else self._known(placed, keyframes)
+            solved = self._chain.update()
+        self._place(solved)
+        self._gaps.remember(solved)
+        self._predictor.known = None if solved is None else self._known(solved, keyframes)
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""
@@ -149,7 +144,7 @@ class InertialAlignment:
         self._gaps.forget_from(frame_index)
         self._predictor.known = None
         self._predictor.in_windows.clear()
-        self.placement.forget_from(frame_index)
+        self.map_poses.forget_from(frame_index)
 
     @timed("inertial")
     def finish(self, local_map: LocalMap) -> None:
@@ -160,12 +155,12 @@ class InertialAlignment:
             self._chain.read_again()
             if not self._chain.is_initialised:
                 self._chain.update()
-        placed = self._chain.finish()
+        solved = self._chain.finish()
         self.contradiction = self._found_contradiction()
-        if placed is not None:  # in another frame, which the pose graph does not know
-            self.placement.begin_frame_of(placed.world)
-        self._place(placed, keeps_earlier=False)
-        self._gaps.remember(placed)
+        if solved is not None:  # in another frame, which the pose graph does not know
+            self.map_poses.begin_frame_of(solved.world)
+        self._place(solved, keeps_earlier=False)
+        self._gaps.remember(solved)
 
     def _found_contradiction(self) -> str | None:
         """How sensor and images contradict each other, after the last frame."""
@@ -186,10 +181,10 @@ class InertialAlignment:
     @timed("inertial")
     def fill_gaps(self) -> None:
         """Give lost frames poses, after `finish`, and after the pose graph has placed keyframes."""
-        placed = self._chain.newest
-        if placed is not None and self._is_metric:
-            self._join(placed)
-        lost = self._gaps.bridged(None if self._is_metric else self.placement.metric_worlds)
+        solved = self._chain.newest
+        if solved is not None and self._is_metric:
+            self._join(solved)
+        lost = self._gaps.bridged(None if self._is_metric else self.map_poses.metric_worlds)
         self._trajectory.store.add_inertial(lost + self._turns.turned(lost))
 
     @timed("inertial")
@@ -200,14 +195,14 @@ class InertialAlignment:
         """
         if self._is_metric:
             return self._joined_poses()
-        placed = self._chain.smoothed()
-        if placed is None:
-            return self.placement.give(None, {}, (0.0, 0.0))
-        covariance = placed.estimate.covariance
+        solved = self._chain.smoothed()
+        if solved is None:
+            return self.map_poses.give(None, {}, (0.0, 0.0))
+        covariance = solved.estimate.covariance
         sigma_scale = math.sqrt(float(covariance[:, LOG_SCALE, LOG_SCALE].min()))
-        tilt = tilt_sigma(placed.estimate.states.rotation[-1], covariance[-1])
-        estimated = self._estimated(placed)
-        return self.placement.give(placed.world, estimated, (sigma_scale, tilt))
+        tilt = tilt_sigma(solved.estimate.states.rotation[-1], covariance[-1])
+        estimated = self._estimated(solved)
+        return self.map_poses.give(solved.world, estimated, (sigma_scale, tilt))
 
     def _set(self, keyframes: list[Keyframe]) -> None:
         before: Keyframe | None = None
@@ -238,51 +233,51 @@ class InertialAlignment:
             path.world_from_cam[tracked, :3, :3],
         )
 
-    def _place(self, placed: Placed | None, *, keeps_earlier: bool = True) -> None:
+    def _place(self, solved: KeyframeStates | None, *, keeps_earlier: bool = True) -> None:
         """Place the keyframes of a single camera in the metric, upright world.
 
         Args:
-            placed: some of them.
+            solved: some of them.
             keeps_earlier: whether those before them stay, else they follow the first one.
         """
-        if placed is None:
+        if solved is None:
             return
         if self._is_metric:
-            self._join(placed)
+            self._join(solved)
             return
-        self.placement.update(placed.world, self._estimated(placed), keeps_earlier=keeps_earlier)
+        self.map_poses.update(solved.world, self._estimated(solved), keeps_earlier=keeps_earlier)
 
-    def _estimated(self, placed: Placed) -> dict[int, EstimatedPose]:
+    def _estimated(self, solved: KeyframeStates) -> dict[int, EstimatedPose]:
         """The keyframes whose scale is certain enough, by id."""
-        rows = certain(placed)
-        states = placed.estimate.states
+        rows = certain(solved)
+        states = solved.estimate.states
         world_from_imu = np.tile(np.eye(4), (len(rows), 1, 1))
         world_from_imu[:, :3, :3] = states.rotation[rows]
         world_from_imu[:, :3, 3] = states.position[rows]
         pose, scale = world_from_imu @ self._imu_from_cam0, np.exp(states.log_scale[rows])
-        covariance = self._covariance(placed, rows)
+        covariance = self._covariance(solved, rows)
         result: dict[int, EstimatedPose] = {}
         for n, row in enumerate(rows):
-            node = placed.nodes[row]
+            node = solved.nodes[row]
             result[node.keyframe] = EstimatedPose(
                 node.frame_index,
                 node.segment,
-                placed.world,
-                placed.origin,
+                solved.world,
+                solved.origin,
                 pose[n],
                 float(scale[n]),
                 covariance[n],
             )
         return result
 
-    def _join(self, placed: Placed) -> None:
+    def _join(self, solved: KeyframeStates) -> None:
         """Place each later segment of a metric path by its motion since the one before.
 
         The path of each segment stays that of the images.
         """
-        states, store = placed.estimate.states, self._trajectory.store
-        for row in range(1, len(placed.nodes)):
-            before, after = placed.nodes[row - 1], placed.nodes[row]
+        states, store = solved.estimate.states, self._trajectory.store
+        for row in range(1, len(solved.nodes)):
+            before, after = solved.nodes[row - 1], solved.nodes[row]
             if before.segment == after.segment:
                 continue
             pose = np.tile(np.eye(4), (2, 1, 1))
@@ -294,16 +289,16 @@ class InertialAlignment:
             rectified = self._trajectory.world_from_rectified(motion)
             first_from_after = first_from_before @ before.world_from_cam @ rectified
             self._joints[after.segment] = world, first_from_after @ inverse(after.world_from_cam)
-            if self.placement.is_in_graph(after.segment):
+            if self.map_poses.is_in_graph(after.segment):
                 continue
             (reference,) = store.keyframes_by_id([before.keyframe])
             joined = reference.world_from_cam0 @ motion
-            store.place(
+            store.move_keyframes(
                 np.array([after.keyframe], np.int64),
                 np.array([store.world(before.segment)], np.int64),
                 joined[None],
                 np.ones(1),
-                self._covariance(placed, [row]),
+                self._covariance(solved, [row]),
             )
 
     def _joined_poses(self) -> Mapping[int, InertialPose]:
@@ -318,24 +313,24 @@ class InertialAlignment:
             if node.segment in frames
         }
 
-    def _known(self, placed: Placed, keyframes: list[Keyframe]) -> KnownMotion | None:
+    def _known(self, solved: KeyframeStates, keyframes: list[Keyframe]) -> KnownMotion | None:
         """The motion at the newest keyframe of the local map; None while it is uncertain."""
-        node, row = placed.nodes[-1], len(placed.nodes) - 1
-        if node.keyframe != keyframes[-1].id or row not in certain(placed):
+        node, row = solved.nodes[-1], len(solved.nodes) - 1
+        if node.keyframe != keyframes[-1].id or row not in certain(solved):
             return None
-        states = placed.estimate.states.rows(slice(-1, None))
-        return known_motion(node.stamp_ns, states, placed.estimate.covariance[-1])
+        states = solved.estimate.states.rows(slice(-1, None))
+        return known_motion(node.stamp_ns, states, solved.estimate.covariance[-1])
 
-    def _covariance(self, placed: Placed, rows: list[int]) -> Floats:
+    def _covariance(self, solved: KeyframeStates, rows: list[int]) -> Floats:
         """(n, 6, 6) of cam0's poses, tangent on the right."""
-        covariance = placed.estimate.covariance[rows][:, :6, :6]
-        return tangent_of_cam0(placed.estimate.states.rotation[rows], covariance, self._adjoint)
+        covariance = solved.estimate.covariance[rows][:, :6, :6]
+        return tangent_of_cam0(solved.estimate.states.rotation[rows], covariance, self._adjoint)
 
-    def _states(self, placed: Placed) -> InertialStates:
-        states, covariance = placed.estimate.states, placed.estimate.covariance[-1]
+    def _states(self, solved: KeyframeStates) -> InertialStates:
+        states, covariance = solved.estimate.states, solved.estimate.covariance[-1]
         covariance = covariance * self._chain.agreement.excess**2
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        to_path = self._path_from_upright(placed)
+        to_path = self._path_from_upright(solved)
         return InertialStates(
             scale=math.exp(float(states.log_scale[-1])),
             scale_sigma=0.0 if self._is_metric else float(sigma[LOG_SCALE]),
@@ -346,16 +341,16 @@ class InertialAlignment:
             gyro_bias_sigma_rad_s=tuple(sigma[GYRO_BIAS].tolist()),
             accel_bias_m_s2=tuple(states.accel_bias[-1].tolist()),
             accel_bias_sigma_m_s2=tuple(sigma[ACCEL_BIAS].tolist()),
-            misfit=placed.estimate.misfit,
+            misfit=solved.estimate.misfit,
         )
 
-    def _path_from_upright(self, placed: Placed) -> Floats:
+    def _path_from_upright(self, solved: KeyframeStates) -> Floats:
         """(3, 3) from the upright world to that of the path.
 
         They are one for a single camera, but for what the pose graph has changed.
         """
         if not self._is_metric:
-            return self.placement.map_from_upright(placed.world)
-        (pose,) = self._trajectory.store.keyframes_by_id([placed.nodes[-1].keyframe])
+            return self.map_poses.map_from_upright(solved.world)
+        (pose,) = self._trajectory.store.keyframes_by_id([solved.nodes[-1].keyframe])
         path_from_imu = pose.world_from_cam0[:3, :3] @ self._imu_from_cam0[:3, :3].T
-        return np.asarray(path_from_imu @ placed.estimate.states.rotation[-1].T)
+        return np.asarray(path_from_imu @ solved.estimate.states.rotation[-1].T)

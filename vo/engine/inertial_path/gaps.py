@@ -11,7 +11,7 @@ import numpy as np
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.types import Floats, ImuNoise, Ints, KeyframePose
 from vo.engine.inertial.bridging import EndState, bridge, moved_to
-from vo.engine.inertial.chain import Placed
+from vo.engine.inertial.chain import KeyframeStates
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS, POSITION, VELOCITY
 from vo.engine.trajectory.builder import TrajectoryBuilder
@@ -62,12 +62,12 @@ class InertialGaps:
         self._adjoint = adjoint(cam0_from_imu)
         self._states: dict[int, _KeyframeState] = {}  # by id of the keyframe
 
-    def remember(self, placed: Placed | None) -> None:
+    def remember(self, solved: KeyframeStates | None) -> None:
         """Keep the states of keyframes, instead of older ones."""
-        if placed is None:
+        if solved is None:
             return
-        states, covariance = placed.estimate.states, placed.estimate.covariance
-        for row, node in enumerate(placed.nodes):
+        states, covariance = solved.estimate.states, solved.estimate.covariance
+        for row, node in enumerate(solved.nodes):
             self._states[node.keyframe] = _KeyframeState(
                 node.frame_index,
                 node.stamp_ns,

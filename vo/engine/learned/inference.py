@@ -142,11 +142,8 @@ class OnnxRuntimeInference:
 def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Inference:
     """Load a model.
 
-    Args:
-        path: the ONNX file.
-        backend: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
-            every other device.
-        device: where to compute.
+    `backend`: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
+    every other device.
 
     Raises:
         ConfigError: ONNX Runtime is asked for and not installed, or the device is not there.

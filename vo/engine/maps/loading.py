@@ -9,7 +9,7 @@ from vo.base.errors import ConfigError
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.maps.map_file import MapFile, MapHeader
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.records import Loop, MarkerVisit, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, MarkerVisit, PlaceKey, RegisteredKeyframes
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class LoadedMap:
     """A map whose keyframes are in the database; `frames` are those of its keyframes."""
 
     header: MapHeader
-    placed: PlacedKeyframes
+    placed: RegisteredKeyframes
     loops: tuple[Loop, ...]
     markers: tuple[MarkerVisit, ...]
     frames: dict[PlaceKey, FrameId]
@@ -52,11 +52,13 @@ def load_map(path: Path, database: KeyframeDatabase, *, is_metric: bool) -> Load
         return LoadedMap(header, file.placed, file.loops, file.markers, frames)
 
 
-def with_covariance_of(placed: PlacedKeyframes, loaded: PlacedKeyframes) -> PlacedKeyframes:
-    """Placed keyframes, those of a loaded map with the covariances that they had in it."""
-    covariance = placed.covariance.copy()
+def with_covariance_of(
+    registered: RegisteredKeyframes, loaded: RegisteredKeyframes
+) -> RegisteredKeyframes:
+    """Registered keyframes, those of a loaded map with the covariances that they had in it."""
+    covariance = registered.covariance.copy()
     known = dict(zip(loaded.keys, loaded.covariance, strict=True))
-    for n, key in enumerate(placed.keys):
+    for n, key in enumerate(registered.keys):
         if key in known:
             covariance[n] = known[key]
-    return replace(placed, covariance=covariance)
+    return replace(registered, covariance=covariance)

@@ -35,7 +35,7 @@ from vo.engine.maps.checks import (
 )
 from vo.engine.maps.markers import MARKERS_VERSION, decode_markers, encode_markers
 from vo.engine.places.encoding import decode_place
-from vo.engine.places.records import Loop, MarkerVisit, Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, MarkerVisit, Place, PlaceKey, RegisteredKeyframes
 
 _MAGIC = b"vo-map\r\n"
 _VERSION = 1
@@ -84,7 +84,7 @@ def write_map(
     path: Path,
     header: MapHeader,
     keyframes: Iterable[tuple[PlaceKey, bytes]],
-    placed: PlacedKeyframes,
+    registered: RegisteredKeyframes,
     loops: Iterable[Loop] = (),
     markers: Sequence[MarkerVisit] = (),
 ) -> None:
@@ -98,7 +98,7 @@ def write_map(
     """
     try:
         with complete_file(path) as file:
-            _write(file, header, keyframes, placed, loops, markers)
+            _write(file, header, keyframes, registered, loops, markers)
     except OSError as error:
         raise OutputError(f"cannot write the map {path}: {error.strerror}") from error
 
@@ -107,19 +107,19 @@ def _write(
     file: BinaryIO,
     header: MapHeader,
     keyframes: Iterable[tuple[PlaceKey, bytes]],
-    placed: PlacedKeyframes,
+    registered: RegisteredKeyframes,
     loops: Iterable[Loop],
     markers: Sequence[MarkerVisit],
 ) -> None:
     file.write(_HEAD.pack(_MAGIC, _VERSION))
-    row_of = {key: n for n, key in enumerate(placed.keys)}
+    row_of = {key: n for n, key in enumerate(registered.keys)}
     rows, listed = [], []
     for key, data in keyframes:
         rows.append(row_of[key])
         listed.append([*key, *_write_part(file, data)])
     placements = np.zeros(len(rows), _PLACEMENT)
     for name in _PLACEMENT.names or ():
-        placements[name] = getattr(placed, name)[rows]
+        placements[name] = getattr(registered, name)[rows]
     table = [tuple(getattr(loop, name) for name in _LOOP.names or ()) for loop in loops]
     index: dict[str, Any] = {
         "camera": {k: v for k, v in asdict(header.camera).items() if k != "readout_s"},
@@ -251,7 +251,7 @@ class MapFile:
         for numbers in (placements["world"], table["earlier"], table["later"]):
             if not ((numbers >= 0) & (numbers <= MAX_NUMBER)).all():
                 raise ValueError("a number of a world, session or keyframe is impossible")
-        self.placed = PlacedKeyframes(
+        self.placed = RegisteredKeyframes(
             keys=tuple(self._parts),
             rejected=(),
             wrong=(),

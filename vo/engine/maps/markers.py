@@ -10,7 +10,7 @@ import numpy as np
 from vo.engine.geometry import sim3
 from vo.engine.maps.checks import MAX_NUMBER, check_poses, listed, text
 from vo.engine.markers.dictionaries import known_dictionaries, marker_count
-from vo.engine.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import MarkerVisit, PlaceKey, RegisteredKeyframes
 
 MARKERS_VERSION = 1
 _MIN_LENGTH_M, _MAX_LENGTH_M = 0.001, 5.0
@@ -92,38 +92,40 @@ def _decoded(row: Any, names: Sequence[str], keys: Collection[PlaceKey]) -> Mark
 
 
 def at_keyframes(
-    markers: Iterable[MarkerVisit], placed: PlacedKeyframes, keys: Collection[PlaceKey]
+    markers: Iterable[MarkerVisit], registered: RegisteredKeyframes, keys: Collection[PlaceKey]
 ) -> list[MarkerVisit]:
     """Markers relative to keyframes of a map, if need be to others than those of their visits.
 
     Args:
         markers: relative to keyframes that are placed; others are left out.
-        placed: where keyframes are.
+        registered: where keyframes are.
         keys: those of the map.
     """
-    row_of = {key: row for row, key in enumerate(placed.keys)}
-    world_from = sim3.similarity(placed.world_from_cam, placed.scale)
+    row_of = {key: row for row, key in enumerate(registered.keys)}
+    world_from = sim3.similarity(registered.world_from_cam, registered.scale)
     found = []
     for each in markers:
         row = row_of.get(each.key)
-        near = None if row is None else _nearest(row, placed, keys)
+        near = None if row is None else _nearest(row, registered, keys)
         if row is None or near is None:
             continue
         pose = each.cam_from_marker
         if near != row:  # the nearest one of the same path: what lies between them is odometry
             pose = sim3.inverse(world_from[near]) @ world_from[row] @ pose
-        found.append(each._replace(key=placed.keys[near], cam_from_marker=pose))
+        found.append(each._replace(key=registered.keys[near], cam_from_marker=pose))
     return found
 
 
-def _nearest(row: int, placed: PlacedKeyframes, keys: Collection[PlaceKey]) -> int | None:
+def _nearest(row: int, registered: RegisteredKeyframes, keys: Collection[PlaceKey]) -> int | None:
     """Row of the nearest keyframe in time that is in a map, of the same session and world."""
-    session, keyframe = placed.keys[row]
-    if placed.keys[row] in keys:
+    session, keyframe = registered.keys[row]
+    if registered.keys[row] in keys:
         return row
     beside = [
         (abs(key.keyframe - keyframe), other)
-        for other, key in enumerate(placed.keys)
-        if key.session == session and key in keys and placed.world[other] == placed.world[row]
+        for other, key in enumerate(registered.keys)
+        if key.session == session
+        and key in keys
+        and registered.world[other] == registered.world[row]
     ]
     return min(beside)[1] if beside else None

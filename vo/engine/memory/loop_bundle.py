@@ -22,7 +22,7 @@ from vo.engine.backend.loop_adjustment import AdjustedPath, Motions, adjust_path
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
-from vo.engine.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
 # The normal equations are dense: their solution takes time with the third power of the number of
 # keyframes, some ten seconds for so many.
@@ -76,20 +76,22 @@ class LoopBundle:
             kept = {k: each for k, each in self._stored.items() if each.frame_index < frame_index}
             self._stored = kept
 
-    def adjusted(self, placed: PlacedKeyframes, loops: Sequence[Loop]) -> PlacedKeyframes | None:
+    def adjusted(
+        self, registered: RegisteredKeyframes, loops: Sequence[Loop]
+    ) -> RegisteredKeyframes | None:
         """The keyframes of a world after the adjustment; None where it cannot be done.
 
         The first one stays where it is, and the path keeps its length. Covariances stay as
         they are.
 
         Args:
-            placed: all keyframes of the world that were stored, in order.
+            registered: all keyframes of the world that were stored, in order.
             loops: that the pose graph accepts; those of other worlds are ignored.
         """
-        stored = self._observations(placed.keys)
-        row = {key: n for n, key in enumerate(placed.keys)}
+        stored = self._observations(registered.keys)
+        row = {key: n for n, key in enumerate(registered.keys)}
         ends = [(row.get(loop.earlier), row.get(loop.later), loop) for loop in loops]
-        scale = placed.scale
+        scale = registered.scale
         motions = [
             _motion(loop, earlier, later, scale[earlier], scale[later])
             for earlier, later, loop in ends
@@ -97,7 +99,7 @@ class LoopBundle:
         ]
         if stored is None or not motions:
             return None
-        problem = self._problem(stored, placed.world_from_cam, scale)
+        problem = self._problem(stored, registered.world_from_cam, scale)
         measured = Motions(*(np.array(each) for each in zip(*motions, strict=True)))
         found = adjust_path(problem, measured, self._config)
         if found is None:
@@ -108,7 +110,7 @@ class LoopBundle:
         before = np.concatenate([s * each.xyz[:, 2] for s, each in zip(scale, stored, strict=True)])
         world_from_cam[:, :3, 3] = first + unit * (world_from_cam[:, :3, 3] - first)
         scale = scale * unit * _depth_ratios(problem, found, before)
-        return replace(placed, world_from_cam=world_from_cam, scale=scale)
+        return replace(registered, world_from_cam=world_from_cam, scale=scale)
 
     def _observations(self, keys: Sequence[PlaceKey]) -> list[_Observations] | None:
         """Observations of all keyframes of a world; None where there are too many, or none."""

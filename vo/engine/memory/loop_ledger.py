@@ -13,7 +13,7 @@ from vo.base.records.closed_loops import ClosedLoop, Relocalisation
 from vo.base.types import Floats
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.memory.run_in_map import RunInMap
-from vo.engine.places.records import Loop, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 from vo.engine.trajectory.store import TrajectoryStore
 
 _MIN_JOINING = 3  # keyframes of one segment with loops to others, fewer of which never join them
@@ -143,16 +143,18 @@ class LoopLedger:
         self._submitted = list(self.records)
         return self.loops
 
-    def judge(self, placed: PlacedKeyframes, segment: int, *, keeps_all: bool) -> list[Loop]:
+    def judge(
+        self, registered: RegisteredKeyframes, segment: int, *, keeps_all: bool
+    ) -> list[Loop]:
         """Note which loops a result accepts; those whose worlds are to be placed by it.
 
         Args:
-            placed: the result, before it is applied to the path.
+            registered: the result, before it is applied to the path.
             segment: of the newest frame.
             keeps_all: whether worlds are placed anew for all loops that were accepted once, else
                 for those that were accepted until now, or are.
         """
-        rejected = {_identity(loop) for loop in placed.rejected}
+        rejected = {_identity(loop) for loop in registered.rejected}
         for record in self._submitted:
             record.is_judged = True
             record.is_accepted = _identity(record.loop) not in rejected

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo.base.errors import OutputError
-from vo.engine.memory.placed_keyframes import scaled_worlds
 from vo.engine.memory.recognition import Recogniser
-from vo.engine.places.records import Loop, MarkerVisit, PlacedKeyframes
+from vo.engine.memory.registered_keyframes import scaled_worlds
+from vo.engine.places.records import Loop, MarkerVisit, RegisteredKeyframes
 from vo.engine.trajectory.metric_segments import MetricSegments
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def write_run(
     path: Path,
     source: str,
     recogniser: Recogniser,
-    placed: PlacedKeyframes,
+    registered: RegisteredKeyframes,
     metric_worlds: set[int],
     loops: Sequence[Loop],
     markers: Iterable[MarkerVisit],
@@ -55,21 +55,21 @@ def write_run(
     sessions: tuple[str, ...] = (source,)
     if loaded is not None:
         sessions = (*loaded.header.sessions, source)
-        placed = with_covariance_of(placed, loaded.placed)
+        registered = with_covariance_of(registered, loaded.placed)
         loops = [*loaded.loops, *loops]
-        metric_worlds = metric_worlds | _metric_by(loaded, placed)
+        metric_worlds = metric_worlds | _metric_by(loaded, registered)
     metric = tuple(sorted(metric_worlds))
     header = MapHeader(recogniser.camera, database.vocabulary.id, sessions, metric)
-    known = set(placed.keys)
+    known = set(registered.keys)
     keyframes = ((k, database.encoded(k)) for k in database if k in known)
     kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]
     written = {key for key in database if key in known}
-    write_map(path, header, keyframes, placed, kept, at_keyframes(markers, placed, written))
+    write_map(path, header, keyframes, registered, kept, at_keyframes(markers, registered, written))
 
 
 def in_metres(
-    placed: PlacedKeyframes, segments: Mapping[int, int], metric: MetricSegments
-) -> tuple[PlacedKeyframes, set[int]]:
+    registered: RegisteredKeyframes, segments: Mapping[int, int], metric: MetricSegments
+) -> tuple[RegisteredKeyframes, set[int]]:
     """Keyframes of one camera, converted where there is a scale; the worlds in metres then.
 
     `segments` are those of keyframes of the run, by row.
@@ -77,14 +77,14 @@ def in_metres(
     scales = {row: metric.scale(segment) for row, segment in segments.items()}
     factors = {row: scale.value for row, scale in scales.items() if scale is not None}
     rows = [row for row, segment in segments.items() if metric.is_metric(segment)]
-    return scaled_worlds(placed, factors), {int(placed.world[row]) for row in rows}
+    return scaled_worlds(registered, factors), {int(registered.world[row]) for row in rows}
 
 
-def _metric_by(loaded: LoadedMap, placed: PlacedKeyframes) -> set[int]:
+def _metric_by(loaded: LoadedMap, registered: RegisteredKeyframes) -> set[int]:
     """Numbers of the placed worlds that are metric by the map."""
     world_of = dict(zip(loaded.placed.keys, loaded.placed.world.tolist(), strict=True))
     return {
         int(world)
-        for key, world in zip(placed.keys, placed.world, strict=True)
+        for key, world in zip(registered.keys, registered.world, strict=True)
         if world_of.get(key) in loaded.header.metric_worlds
     }

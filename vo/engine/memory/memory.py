@@ -20,10 +20,10 @@ from vo.engine.memory.loop_ledger import LoopLedger
 from vo.engine.memory.map_writer import check_savable, in_metres, write_run
 from vo.engine.memory.marker_loops import MarkerLoops
 from vo.engine.memory.place_maker import PlaceMaker
-from vo.engine.memory.placed_keyframes import of_worlds, with_adjusted
 from vo.engine.memory.recognition import Recognised, Recogniser
+from vo.engine.memory.registered_keyframes import of_worlds, with_adjusted
 from vo.engine.memory.run_in_map import RunInMap
-from vo.engine.places.records import InertialPose, PathKeyframe, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import InertialPose, PathKeyframe, PlaceKey, RegisteredKeyframes
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:  # many runs have no inertial sensor
@@ -69,8 +69,8 @@ class Memory:
         self._trajectory = trajectory
         self._inertial = inertial
         self._bundle = bundle
-        self._adjusted: list[PlacedKeyframes] = []  # worlds after the adjustment
-        self._wrong: tuple[PlaceKey, ...] = ()  # see `PlacedKeyframes`
+        self._adjusted: list[RegisteredKeyframes] = []  # worlds after the adjustment
+        self._wrong: tuple[PlaceKey, ...] = ()  # see `RegisteredKeyframes`
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
         self._segment = 0  # of the newest frame
         self._is_familiar = False  # whether the newest place resembles an older one
@@ -89,7 +89,7 @@ class Memory:
             return
         self._apply_recognised()
         if self._schedule.is_due:
-            self._apply_placed()
+            self._apply_graph()
         if self._schedule.may_begin and (self.loops.has_new(self._segment) or self._awaits_graph()):
             self._submit()
         of_path = self._maker.follow(keyframe)
@@ -121,7 +121,7 @@ class Memory:
             self._note_stored()  # it may be recognised by the newest stored keyframe
             self._note(found)
         if self._schedule.is_due_apart():
-            self._apply_placed()
+            self._apply_graph()
         is_ready = self.loops.joins_enough(self._segment) and self.loops.has_new(self._segment)
         if not self._schedule.is_pending and is_ready:
             self._submit()
@@ -148,11 +148,11 @@ class Memory:
         self._apply_recognised()
         self.loops.add(self.markers.finish())
         if self._schedule.is_pending:
-            self._apply_placed()
+            self._apply_graph()
         is_doubted = any(loop.marker in self.markers.repeated for loop in self.loops.loops)
         if self.loops.has_unjudged or self._awaits_graph() or is_doubted:
             self._submit()
-            self._apply_placed()
+            self._apply_graph()
         if self._bundle is not None and self.loops.accepted:
             self._adjust(self._bundle)
 
@@ -171,17 +171,17 @@ class Memory:
             OutputError: the file cannot be written, or the loaded map is of another camera.
         """
         self._submit()
-        placed = self._result()
+        registered = self._result()
         if self._inertial is not None:
-            placed = self._inertial.placement.to_metres(placed, self._maker.session)
-        placed, metric = with_adjusted(placed, self._adjusted), set[int]()
+            registered = self._inertial.map_poses.to_metres(registered, self._maker.session)
+        registered, metric = with_adjusted(registered, self._adjusted), set[int]()
         if not self._maker.is_metric:
-            frames = enumerate(self.loops.frames.get(key) for key in placed.keys)
+            frames = enumerate(self.loops.frames.get(key) for key in registered.keys)
             segments = {row: frame.segment for row, frame in frames if frame is not None}
-            placed, metric = in_metres(placed, segments, self._trajectory.store.metric)
+            registered, metric = in_metres(registered, segments, self._trajectory.store.metric)
         # A map knows keyframes by their looks, and not those that only a marker connects.
         loops = [loop for loop in self.loops.accepted if loop.marker is None]
-        write_run(path, source, self._recogniser, placed, metric, loops, self.markers.known)
+        write_run(path, source, self._recogniser, registered, metric, loops, self.markers.known)
 
     def close(self) -> None:
         """End threads and processes."""
@@ -200,10 +200,10 @@ class Memory:
         session = self._maker.session
         worlds -= {world_of(frames[key].segment) for key in self._wrong if key in frames}
         for world in sorted(worlds - set(self.in_map.met)):
-            placed = bundle.adjusted(self._trajectory.placed(world, session), loops)
-            if placed is not None:
-                self._trajectory.place(placed, session)
-                self._adjusted.append(placed)
+            registered = bundle.adjusted(self._trajectory.registered(world, session), loops)
+            if registered is not None:
+                self._trajectory.move_keyframes(registered, session)
+                self._adjusted.append(registered)
 
     def _apply_recognised(self) -> None:
         """Wait for the results of all searches."""
@@ -239,24 +239,24 @@ class Memory:
         self._graph.submit(self.loops.submit(), poses, self.markers.repeated)
         self._schedule.begin(is_apart=self.loops.is_apart(self._segment))
 
-    def _result(self) -> PlacedKeyframes:
+    def _result(self) -> RegisteredKeyframes:
         """Wait for the result of the pose graph."""
         self._schedule.end()
         return self._graph.result(self._recogniser.unconfirmed)
 
-    def _apply_placed(self) -> None:
+    def _apply_graph(self) -> None:
         """Apply the result of the pose graph to the trajectory."""
-        placed = self._result()
-        self._wrong = placed.wrong
-        self.markers.refuse(placed.rejected)
+        registered = self._result()
+        self._wrong = registered.wrong
+        self.markers.refuse(registered.rejected)
         is_inertial = self._inertial is not None
-        loops = self.loops.judge(placed, self._segment, keeps_all=is_inertial)
+        loops = self.loops.judge(registered, self._segment, keeps_all=is_inertial)
         if not loops:
             return
-        connected = self.in_map.numbered(of_worlds(placed, loops), self.loops.frames)
-        placer = self._trajectory if self._inertial is None else self._inertial.placement
-        placer.place(connected, self._maker.session)
-        self.loops.report(placed.wrong, self._segment)
+        connected = self.in_map.numbered(of_worlds(registered, loops), self.loops.frames)
+        path = self._trajectory if self._inertial is None else self._inertial.map_poses
+        path.move_keyframes(connected, self._maker.session)
+        self.loops.report(registered.wrong, self._segment)
 
     def _awaits_graph(self) -> bool:
-        return self._inertial is not None and self._inertial.placement.awaits_graph
+        return self._inertial is not None and self._inertial.map_poses.awaits_graph

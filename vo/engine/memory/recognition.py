@@ -15,12 +15,12 @@ from vo.base.scheduling import give_way
 from vo.base.types import Camera
 from vo.engine.memory.search_pauses import SearchPauses
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.records import Loop, Place, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import Loop, Place, PlaceKey, RegisteredKeyframes
 
 if TYPE_CHECKING:  # imported only where there are candidates, or maps: it takes a few ms each
+    from vo.engine.loop_verification.loop_verifier import LoopVerifier
+    from vo.engine.loop_verification.screening import Screening
     from vo.engine.maps.loading import LoadedMap
-    from vo.engine.verification.loop_verifier import LoopVerifier
-    from vo.engine.verification.screening import Screening
 
 T = TypeVar("T")
 
@@ -93,11 +93,13 @@ class Recogniser:
         """Search for the place of the first of some keyframes, newest first, not stored yet."""
         return self._start(lambda: self._result(places[0], partial(self._find, places)))
 
-    def unconfirmed(self, placed: PlacedKeyframes) -> tuple[PlaceKey, ...]:
+    def unconfirmed(self, registered: RegisteredKeyframes) -> tuple[PlaceKey, ...]:
         """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
-        from vo.engine.verification.repair_check import unconfirmed_repairs
+        from vo.engine.loop_verification.repair_check import unconfirmed_repairs
 
-        return self._start(lambda: unconfirmed_repairs(self.database, self.camera, placed)).result()
+        return self._start(
+            lambda: unconfirmed_repairs(self.database, self.camera, registered)
+        ).result()
 
     def _start(self, work: Callable[[], T]) -> Future[T]:
         if self._pool is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from vo.base.records.closed_loops import MapUse
 from vo.engine.mapping.keyframe import FrameId
-from vo.engine.places.records import MarkerVisit, PlacedKeyframes, PlaceKey
+from vo.engine.places.records import MarkerVisit, PlaceKey, RegisteredKeyframes
 from vo.engine.trajectory.metric_segments import MetricSegments
 
 if TYPE_CHECKING:
@@ -56,18 +56,20 @@ class RunInMap:
             return False
         return self._loaded is not None or segment > 0
 
-    def numbered(self, placed: PlacedKeyframes, frames: dict[PlaceKey, FrameId]) -> PlacedKeyframes:
-        """Placed keyframes with the run's numbers of worlds; notes which of them are in the map."""
+    def numbered(
+        self, registered: RegisteredKeyframes, frames: dict[PlaceKey, FrameId]
+    ) -> RegisteredKeyframes:
+        """Keyframes with the run's numbers of worlds; notes which of them are in the map."""
         if self._loaded is None:
-            return placed
+            return registered
         last = int(self._loaded.placed.world.max(initial=-1))
         number: dict[int, int] = {}
-        for key, world in zip(placed.keys, placed.world.tolist(), strict=True):
+        for key, world in zip(registered.keys, registered.world.tolist(), strict=True):
             if key in frames:
                 segment = frames[key].segment
                 number[world] = min(number.get(world, segment), segment)
         self.met = tuple(sorted(n for world, n in number.items() if world <= last))
         metric = self._loaded.header.metric_worlds
         self._metric.by_map = tuple(sorted(n for world, n in number.items() if world in metric))
-        world = np.array([number.get(w, w) for w in placed.world.tolist()], np.int64)
-        return replace(placed, world=world)
+        world = np.array([number.get(w, w) for w in registered.world.tolist()], np.int64)
+        return replace(registered, world=world)

@@ -172,7 +172,7 @@ class Loop:
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedKeyframes:
+class RegisteredKeyframes:
     """Where the pose graph places keyframes; rows belong together.
 
     Attributes:
@@ -192,9 +192,9 @@ class PlacedKeyframes:
     rejected: tuple[Loop, ...]
     wrong: tuple[PlaceKey, ...] = ()
 
-    def rows(self, rows: Ints | Sequence[int]) -> PlacedKeyframes:
+    def rows(self, rows: Ints | Sequence[int]) -> RegisteredKeyframes:
         """Those of some rows."""
-        return PlacedKeyframes(
+        return RegisteredKeyframes(
             tuple(self.keys[n] for n in rows),
             self.world[rows],
             self.world_from_cam[rows],

@@ -12,7 +12,7 @@ from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.types import Floats, KeyframePose, PredictedPose
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import FrameId, Keyframe
-from vo.engine.places.records import PlacedKeyframes, PlaceKey
+from vo.engine.places.records import PlaceKey, RegisteredKeyframes
 from vo.engine.tracking.motion_model import PosePrior
 from vo.engine.trajectory.inertial_frames import with_reference
 from vo.engine.trajectory.map_frame import Anchor, scaled_covariance
@@ -88,7 +88,7 @@ class TrajectoryBuilder:
     def map_from_cam0(self, odom_from_rectified: Floats, anchor: Anchor | None) -> Floats:
         """Pose (4, 4) of the recorded cam0 in the map frame, where an anchor has placed it."""
         pose = self.world_from_cam0(odom_from_rectified)
-        return pose if anchor is None else anchor.place(pose)
+        return pose if anchor is None else anchor.transform(pose)
 
     def predicted(
         self, prior: PosePrior | None, segment: int, anchor: Anchor | None
@@ -105,19 +105,19 @@ class TrajectoryBuilder:
             covariance = scaled_covariance(covariance, anchor.scale)
         return PredictedPose(pose, with_reference(covariance, pose, reference))
 
-    def place(self, placed: PlacedKeyframes, session: int) -> None:
+    def move_keyframes(self, registered: RegisteredKeyframes, session: int) -> None:
         """Place the keyframes of a session in the map frame; the frames relative to them follow."""
-        rows = [n for n, key in enumerate(placed.keys) if key.session == session]
+        rows = [n for n, key in enumerate(registered.keys) if key.session == session]
         if not rows:
             return
-        rows.sort(key=lambda n: placed.keys[n].keyframe)
+        rows.sort(key=lambda n: registered.keys[n].keyframe)
         # The map frame is that of a rectified camera, as the odometry frame is.
-        covariance = self._adjoint @ placed.covariance[rows] @ self._adjoint.T
-        self.store.place(
-            np.array([placed.keys[n].keyframe for n in rows], np.int64),
-            placed.world[rows],
-            self.world_from_cam0(placed.world_from_cam[rows]),
-            placed.scale[rows],
+        covariance = self._adjoint @ registered.covariance[rows] @ self._adjoint.T
+        self.store.move_keyframes(
+            np.array([registered.keys[n].keyframe for n in rows], np.int64),
+            registered.world[rows],
+            self.world_from_cam0(registered.world_from_cam[rows]),
+            registered.scale[rows],
             covariance,
         )
 
@@ -125,11 +125,11 @@ class TrajectoryBuilder:
         """The inverse of `world_from_cam0`."""
         return np.asarray(self._rectified_from_cam0 @ world_from_cam0 @ self.cam0_from_rectified)
 
-    def placed(self, world: int, session: int) -> PlacedKeyframes:
+    def registered(self, world: int, session: int) -> RegisteredKeyframes:
         """The keyframes of a world of the run, as for `place`."""
-        ids, world_from_cam0, scale, covariance = self.store.placed(world)
+        ids, world_from_cam0, scale, covariance = self.store.registered(world)
         to_rectified = adjoint(self._rectified_from_cam0)
-        return PlacedKeyframes(
+        return RegisteredKeyframes(
             tuple(PlaceKey(session, number) for number in ids.tolist()),
             np.full(len(ids), world, np.int64),
             self.world_from_rectified(world_from_cam0),

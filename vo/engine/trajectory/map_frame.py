@@ -42,7 +42,7 @@ class Anchor:
         added = self.added_covariance[row]
         return Anchor(self.odom_from_cam[row], self.map_from_cam[row], scale, added)
 
-    def place(self, odom_from_cam: Floats) -> Floats:
+    def transform(self, odom_from_cam: Floats) -> Floats:
         """Poses (..., 4, 4) in the map frame."""
         moved = inverse(self.odom_from_cam) @ odom_from_cam
         moved[..., :3, 3] *= np.asarray(self.scale)[..., None]

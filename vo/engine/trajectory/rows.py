@@ -55,7 +55,7 @@ def keyframe_rows(
     rows["scale"] = 1.0
     for segment in sorted(set(rows["segment"].tolist()) & anchors.keys()):
         anchor, chosen = anchors[segment], np.flatnonzero(rows["segment"] == segment)
-        rows["world_from_cam0"][chosen] = anchor.place(odom_from_cam0[chosen])[:, :3]
+        rows["world_from_cam0"][chosen] = anchor.transform(odom_from_cam0[chosen])[:, :3]
         rows["scale"][chosen] = anchor.scale
         known = chosen[np.isfinite(covariance[chosen, 0, 0])]
         in_map = anchor.covariance(odom_from_cam0[known], covariance[known])

@@ -117,7 +117,7 @@ class TrajectoryStore:
         """Number of the connected world that a segment belongs to: that of its first segment."""
         return self._worlds.get(segment, segment)
 
-    def place(
+    def move_keyframes(
         self,
         keyframes: Ints,
         worlds: Ints,
@@ -140,19 +140,19 @@ class TrajectoryStore:
         if len(keyframes) == 0:
             return
         rows = self._keyframes.rows
-        placed = np.searchsorted(rows["id"], keyframes)
-        segments = rows["segment"][placed]
-        odom_covariance = symmetric(rows["odom_covariance"][placed])
-        odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][placed])
+        registered = np.searchsorted(rows["id"], keyframes)
+        segments = rows["segment"][registered]
+        odom_covariance = symmetric(rows["odom_covariance"][registered])
+        odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][registered])
         first = len(rows)
         for segment in np.unique(segments).tolist():
             chosen = np.flatnonzero(segments == segment)
             self._worlds[segment] = int(worlds[chosen[0]])
             of_segment = np.flatnonzero(rows["segment"] == segment)
             if keeps_earlier and segment in self._anchors:
-                of_segment = of_segment[np.searchsorted(of_segment, placed[chosen[0]]) :]
+                of_segment = of_segment[np.searchsorted(of_segment, registered[chosen[0]]) :]
             # Each follows the last placed one before it, and the first ones the first placed one.
-            ends = np.append(np.searchsorted(of_segment, placed[chosen[1:]]), len(of_segment))
+            ends = np.append(np.searchsorted(of_segment, registered[chosen[1:]]), len(of_segment))
             anchors = make_anchors(
                 odom_from_cam0[chosen],
                 map_from_cam0[chosen],
@@ -169,7 +169,7 @@ class TrajectoryStore:
         frame = bisect_left(self.frames["keyframe"], int(rows["id"][first]))
         self._changed = min(self._changed, self._first_after_tracked(frame))
 
-    def placed(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
+    def registered(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
         """Keyframes of a world: their ids, poses, scales and covariances, as for `place`."""
         table = self._keyframes.rows
         segments = [n for n in np.unique(table["segment"]).tolist() if self.world(n) == world]
@@ -233,7 +233,7 @@ class TrajectoryStore:
         """Set the poses of n rows of keyframes that follow n placed ones."""
         table = self._keyframes.rows
         odom_from_cam0 = whole_transforms(table["odom_from_cam0"][rows])
-        table["world_from_cam0"][rows] = anchors.place(odom_from_cam0)[:, :3]
+        table["world_from_cam0"][rows] = anchors.transform(odom_from_cam0)[:, :3]
         table["scale"][rows] = anchors.scale
         covariance = symmetric(table["odom_covariance"][rows])
         known = np.flatnonzero(np.isfinite(covariance).all(axis=(1, 2)))
@@ -335,7 +335,7 @@ class TrajectoryStore:
         table["world_from_cam0"], table["scale"] = table["odom_from_cam0"], 1.0
         other._keyframes.replace(table)
         unknown = np.full((len(keyframes), 6, 6), np.nan)
-        other.place(keyframes, worlds, map_from_cam0, scale, unknown)
+        other.move_keyframes(keyframes, worlds, map_from_cam0, scale, unknown)
         return other.trajectory()
 
     def _poses(self, row: int, frame: str) -> Floats:

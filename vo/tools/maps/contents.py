@@ -15,7 +15,7 @@ from vo.engine.geometry import sim3
 from vo.engine.maps.map_file import MapFile
 from vo.engine.markers.dictionaries import smallest_containing
 from vo.engine.markers.marker_problem import square_points
-from vo.engine.places.records import PATCH_PX, MarkerVisit, PlacedKeyframes
+from vo.engine.places.records import PATCH_PX, MarkerVisit, RegisteredKeyframes
 from vo.recordings.formats.ply import write_ply
 
 
@@ -70,12 +70,14 @@ def chosen_world(map_file: MapFile, world: int | None) -> int:
     return int(numbers[np.argmax(counts)]) if world is None else world
 
 
-def listed_markers(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[dict[str, Any]]:
+def listed_markers(
+    markers: Sequence[MarkerVisit], registered: RegisteredKeyframes
+) -> list[dict[str, Any]]:
     """Where each marker is in each world, by the visit that is the most certain one.
 
     Positions and `sigma_m` are in the unit of the world, and in metres by the sides of markers.
     """
-    in_world = _best_visits(markers, placed)
+    in_world = _best_visits(markers, registered)
     names = {
         name: smallest_containing(name, [each.id for each in markers if each.dictionary == name])
         for name in sorted({each.dictionary for each in markers})
@@ -97,11 +99,13 @@ def listed_markers(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> l
     ]
 
 
-def marker_corners(markers: Sequence[MarkerVisit], placed: PlacedKeyframes, world: int) -> Floats:
+def marker_corners(
+    markers: Sequence[MarkerVisit], registered: RegisteredKeyframes, world: int
+) -> Floats:
     """(n, 3) corners of the markers of a world."""
     corners = [
         transform_points(each.world_from_marker, square_points(each.marker.length_m))
-        for each in _best_visits(markers, placed)
+        for each in _best_visits(markers, registered)
         if each.world == world
     ]
     return np.concatenate([np.zeros((0, 3)), *corners])
@@ -116,13 +120,13 @@ class _InWorld(NamedTuple):
     visits: int  # number of visits
 
 
-def _best_visits(markers: Sequence[MarkerVisit], placed: PlacedKeyframes) -> list[_InWorld]:
+def _best_visits(markers: Sequence[MarkerVisit], registered: RegisteredKeyframes) -> list[_InWorld]:
     """Each marker in each world, by worlds, dictionaries and ids."""
-    row_of = {key: row for row, key in enumerate(placed.keys)}
-    world_from = sim3.similarity(placed.world_from_cam, placed.scale)
+    row_of = {key: row for row, key in enumerate(registered.keys)}
+    world_from = sim3.similarity(registered.world_from_cam, registered.scale)
     visits: dict[tuple[int, str, int], list[MarkerVisit]] = {}
     for each in markers:
-        world = int(placed.world[row_of[each.key]])
+        world = int(registered.world[row_of[each.key]])
         visits.setdefault((world, each.dictionary, each.id), []).append(each)
     found = []
     for (world, _, _), group in sorted(visits.items()):
@@ -151,16 +155,16 @@ def points_of(map_file: MapFile, world: int) -> Iterator[MapPoints]:
         SourceError: a keyframe is damaged.
     """
     known: dict[int, np.ndarray[tuple[int, ...], np.dtype[np.int64]]] = {}
-    placed = map_file.placed
-    for row in np.flatnonzero(placed.world == world)[::-1].tolist():
-        place = map_file.place(placed.keys[row])
+    registered = map_file.placed
+    for row in np.flatnonzero(registered.world == world)[::-1].tolist():
+        place = map_file.place(registered.keys[row])
         landmarks, session = place.landmarks, place.key.session
         seen = known.get(session, np.zeros(0, np.int64))
         new = ~np.isin(landmarks.id, seen)
         known[session] = np.union1d(seen, landmarks.id)
-        xyz = placed.scale[row] * landmarks.xyz[new].astype(np.float64)
+        xyz = registered.scale[row] * landmarks.xyz[new].astype(np.float64)
         centre = PATCH_PX // 2
-        world_xyz = transform_points(placed.world_from_cam[row], xyz)
+        world_xyz = transform_points(registered.world_from_cam[row], xyz)
         yield MapPoints(world_xyz, landmarks.patch[new, centre, centre])
 
 

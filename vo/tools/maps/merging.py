@@ -13,7 +13,7 @@ from vo.base.errors import ConfigError
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.maps.loading import LoadedMap, load_map, with_covariance_of
 from vo.engine.maps.map_file import MapFile, MapHeader, write_map
-from vo.engine.memory.creation import make_judges
+from vo.engine.memory.memory_creation import make_judges
 from vo.engine.memory.recognition import SUCCESSION, Recogniser
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.encoding import encode_place
@@ -47,10 +47,10 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         loops = _search(database, loaded, places)
         worlds = int(loaded.placed.world.max(initial=-1)) + 1
         keys = tuple(_moved(key, sessions) for key in added.keys)
-        placed = replace(added.placed, keys=keys, world=added.placed.world + worlds)
+        registered = replace(added.placed, keys=keys, world=added.placed.world + worlds)
         graph = PoseGraph()
         graph.add_map(loaded.placed, is_metric=is_metric)
-        graph.add_map(placed, is_metric=is_metric)
+        graph.add_map(registered, is_metric=is_metric)
         graph.submit(loops)
         both = graph.result()
         rejected = {(loop.earlier, loop.later) for loop in both.rejected}
@@ -66,7 +66,7 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         own_worlds = {worlds + world for world in added.header.metric_worlds}
         metric = {*loaded.header.metric_worlds, *own_worlds} & set(both.world.tolist())
         header = MapHeader(loaded.header.camera, vocabulary.id, names, tuple(sorted(metric)))
-        both = with_covariance_of(with_covariance_of(both, loaded.placed), placed)
+        both = with_covariance_of(with_covariance_of(both, loaded.placed), registered)
         own = [_of_later_session(loop, sessions) for loop in added.loops]
         markers = [each._replace(key=_moved(each.key, sessions)) for each in added.markers]
         markers = [*loaded.markers, *markers]

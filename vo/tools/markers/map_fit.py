@@ -22,7 +22,7 @@ from vo.base.geometry.transforms import make_transform, rotation_angle, skew, so
 from vo.base.types import Bools, Floats
 from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.marker_map import KnownMarker
-from vo.tools.markers.scale_fit import PlacedMarker
+from vo.tools.markers.scale_fit import RegisteredMarker
 
 _ROUNDS = 8
 _ALL_PAIRS = 24  # markers, up to which all pairs are tried
@@ -48,7 +48,7 @@ class MapFit(NamedTuple):
     contradicts_sides: bool  # whether the distances of the map contradict the sides of the markers
 
 
-class MapPlace(NamedTuple):
+class MapPose(NamedTuple):
     """Where a world in metres is in a map."""
 
     map_from_world: Floats  # (4, 4)
@@ -57,7 +57,7 @@ class MapPlace(NamedTuple):
 
 
 def fit_map(
-    markers: Sequence[PlacedMarker], known: Mapping[int, KnownMarker], scale_sigma: float
+    markers: Sequence[RegisteredMarker], known: Mapping[int, KnownMarker], scale_sigma: float
 ) -> MapFit | str:
     """The scale by the distances between markers, of the markers that agree with each other.
 
@@ -82,11 +82,13 @@ def fit_map(
     )
 
 
-def place_in_map(markers: Sequence[PlacedMarker], known: Mapping[int, KnownMarker]) -> MapPlace:
-    """Place a world, in the metres of its path, by markers that agree."""
+def register_in_map(
+    markers: Sequence[RegisteredMarker], known: Mapping[int, KnownMarker]
+) -> MapPose:
+    """Register a world, in the metres of its path, by markers that agree."""
     found = _refine(_Pairs.of(markers, known), _FIXED)
     sigmas = np.sqrt(np.diag(found.covariance))
-    return MapPlace(
+    return MapPose(
         make_transform(found.rotation, found.translation),
         float(np.linalg.norm(sigmas[3:6])),
         float(np.linalg.norm(sigmas[:3])),
@@ -104,7 +106,7 @@ class _Pairs(NamedTuple):
     lengths: Floats  # (M,)
 
     @staticmethod
-    def of(markers: Sequence[PlacedMarker], known: Mapping[int, KnownMarker]) -> _Pairs:
+    def of(markers: Sequence[RegisteredMarker], known: Mapping[int, KnownMarker]) -> _Pairs:
         mapped = [known[marker.id] for marker in markers]
         per_axis = np.array([marker.sigma_m for marker in markers]) / np.sqrt(3.0)
         turn = np.array([marker.sigma_rad for marker in markers]) / np.sqrt(3.0)

@@ -15,7 +15,7 @@ _MIN_VIEWS = 3
 _SIZE_SIGMA = 0.003  # of the path itself: its scale drifts after the markers are out of view
 
 
-class PlacedMarker(NamedTuple):
+class RegisteredMarker(NamedTuple):
     """A marker in a world."""
 
     id: int
@@ -36,7 +36,7 @@ class ScaleFit(NamedTuple):
 
     metres_per_unit: float
     relative_sigma: float
-    markers: tuple[PlacedMarker, ...]
+    markers: tuple[RegisteredMarker, ...]
 
 
 def fit_scale(
@@ -77,5 +77,5 @@ def _scale_fit(problem: MarkerProblem, solution: Solution) -> ScaleFit:
         error = float(np.sqrt(np.mean(found.distance[rows] ** 2) / 2.0))
         length_m = problem.views[int(rows[0])].length_m
         counts = (len(rows), frames[0], frames[-1])
-        markers.append(PlacedMarker(number, pose, sigma_m, *counts, error, sigma_rad, length_m))
+        markers.append(RegisteredMarker(number, pose, sigma_m, *counts, error, sigma_rad, length_m))
     return ScaleFit(metres, sigma, tuple(markers))

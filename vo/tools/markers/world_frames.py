@@ -14,9 +14,9 @@ from vo.base.files.complete_file import writing
 from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
 from vo.base.records.metric_scale import MetricScale, WorldFrame
 from vo.base.types import Floats
-from vo.tools.markers.map_fit import place_in_map
+from vo.tools.markers.map_fit import register_in_map
 from vo.tools.markers.marker_map import MarkerMap
-from vo.tools.markers.scale_fit import PlacedMarker
+from vo.tools.markers.scale_fit import RegisteredMarker
 
 MARKERS_FILE = "markers.csv"
 _COLUMNS = (
@@ -29,12 +29,12 @@ class FoundMarker(NamedTuple):
     """A marker in a world."""
 
     world: int  # number of the world
-    marker: PlacedMarker  # its pose, in metres by the sides of markers
+    marker: RegisteredMarker  # its pose, in metres by the sides of markers
     metres_per_unit: float  # these metres in a unit of the map
     # Whether it may place the world: it agrees with the map of markers, if there is one
     is_used: bool = True
 
-    def in_metres(self, scales: Mapping[int, MetricScale]) -> PlacedMarker:
+    def in_metres(self, scales: Mapping[int, MetricScale]) -> RegisteredMarker:
         """The marker in the metres of the path, which may have got them from another source."""
         scale = scales.get(self.world)
         factor = (1.0 if scale is None else scale.value) / self.metres_per_unit
@@ -82,7 +82,7 @@ def frames_of_map(
         markers = [each.in_metres(scales) for each in found if each.world == world and each.is_used]
         if not markers:
             continue
-        place = place_in_map(markers, known.markers)
+        place = register_in_map(markers, known.markers)
         poses[world] = place.map_from_world
         ids = tuple(marker.id for marker in markers)
         turn = float(np.rad2deg(place.sigma_rad))

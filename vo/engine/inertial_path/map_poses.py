@@ -11,7 +11,7 @@ import numpy as np
 from vo.base.geometry.similarity import Similarity
 from vo.base.types import Floats, Trajectory
 from vo.engine.inertial.world_alignment import alignment_covariance, upright_alignment
-from vo.engine.places.records import InertialPose, PlacedKeyframes
+from vo.engine.places.records import InertialPose, RegisteredKeyframes
 from vo.engine.trajectory.builder import TrajectoryBuilder
 from vo.engine.trajectory.map_frame import scaled_covariance
 
@@ -53,7 +53,7 @@ class _Correction(NamedTuple):
     map_from_upright: Similarity
 
 
-class InertialPlacement:
+class InertialMapPoses:
     """Places keyframes of a single camera in a metric world whose z axis points up.
 
     A metric path is left where it is. Where loops are closed, the pose graph starts from the
@@ -62,10 +62,6 @@ class InertialPlacement:
 
     Attributes:
         awaits_graph: whether keyframes that the pose graph has placed got metric poses since.
-
-    Args:
-        trajectory: follows.
-        cam0_from_rectified: (4, 4).
     """
 
     def __init__(self, trajectory: TrajectoryBuilder, cam0_from_rectified: Floats) -> None:
@@ -151,23 +147,25 @@ class InertialPlacement:
             k: InertialPose(e.world, to_rectified(e.pose), e.scale) for k, e in self._given.items()
         }
 
-    def to_metres(self, placed: PlacedKeyframes, session: int) -> PlacedKeyframes:
+    def to_metres(self, registered: RegisteredKeyframes, session: int) -> RegisteredKeyframes:
         """Keyframes as the pose graph has placed them, in metric worlds whose z axis points up.
 
         A world of a loaded map stays as it is, and so does one without inertial poses.
         """
-        own = np.array([key.session == session for key in placed.keys])
-        known = np.array([k.session == session and k.keyframe in self._given for k in placed.keys])
+        own = np.array([key.session == session for key in registered.keys])
+        known = np.array(
+            [k.session == session and k.keyframe in self._given for k in registered.keys]
+        )
         if not known.any():
-            return placed
-        pose = self._trajectory.world_from_cam0(placed.world_from_cam)
-        scale, covariance = placed.scale.copy(), placed.covariance.copy()
-        for world in np.unique(placed.world[known]).tolist():
-            rows = placed.world == world
+            return registered
+        pose = self._trajectory.world_from_cam0(registered.world_from_cam)
+        scale, covariance = registered.scale.copy(), registered.covariance.copy()
+        for world in np.unique(registered.world[known]).tolist():
+            rows = registered.world == world
             if not own[rows].all():
                 continue
             chosen = np.flatnonzero(rows & known)
-            estimated = [self._given[placed.keys[n].keyframe] for n in chosen.tolist()]
+            estimated = [self._given[registered.keys[n].keyframe] for n in chosen.tolist()]
             found = upright_alignment(
                 pose[chosen],
                 scale[chosen],
@@ -180,20 +178,20 @@ class InertialPlacement:
             added = alignment_covariance(from_rectified, *self._sigma)
             covariance[rows] = scaled_covariance(covariance[rows], found.scale) + added
         rectified = self._trajectory.world_from_rectified(pose)
-        return replace(placed, world_from_cam=rectified, scale=scale, covariance=covariance)
+        return replace(registered, world_from_cam=rectified, scale=scale, covariance=covariance)
 
-    def place(self, placed: PlacedKeyframes, session: int) -> None:
+    def move_keyframes(self, registered: RegisteredKeyframes, session: int) -> None:
         """Place keyframes of a session by a result of the pose graph, and newer ones after them."""
-        placed = self.to_metres(placed, session)
-        self._trajectory.place(placed, session)
-        rows = [n for n, key in enumerate(placed.keys) if key.session == session]
-        ids = sorted(placed.keys[n].keyframe for n in rows)
+        registered = self.to_metres(registered, session)
+        self._trajectory.move_keyframes(registered, session)
+        rows = [n for n, key in enumerate(registered.keys) if key.session == session]
+        ids = sorted(registered.keys[n].keyframe for n in rows)
         segments = {pose.segment for pose in self._trajectory.store.keyframes_by_id(ids)}
         self._in_graph |= segments
         world_of = self._trajectory.store.world
         loaded = {
             world
-            for key, world in zip(placed.keys, placed.world.tolist(), strict=True)
+            for key, world in zip(registered.keys, registered.world.tolist(), strict=True)
             if key.session != session
         }
         known = {world_of(self._given[k].segment) for k in ids if k in self._given}
@@ -201,7 +199,7 @@ class InertialPlacement:
         by_sensor = self._trajectory.store.metric.by_sensor
         by_sensor -= segments - metric
         by_sensor |= metric
-        scale = {placed.keys[n].keyframe: float(placed.scale[n]) for n in rows}
+        scale = {registered.keys[n].keyframe: float(registered.scale[n]) for n in rows}
         newest = {self._poses[k].world: k for k in ids if k in self._poses}
         for world, keyframe in newest.items():
             self._corrections[world] = self._correction(keyframe, scale[keyframe])
@@ -221,11 +219,11 @@ class InertialPlacement:
 
     def _correction(self, keyframe: int, scale: float) -> _Correction:
         """The correction of a world by its newest keyframe that the pose graph has placed."""
-        (placed,) = self._trajectory.store.keyframes_by_id([keyframe])
+        (registered,) = self._trajectory.store.keyframes_by_id([keyframe])
         estimated = self._poses[keyframe]
         factor = scale / estimated.scale
-        turn = placed.world_from_cam0[:3, :3] @ estimated.pose[:3, :3].T
-        shift = placed.world_from_cam0[:3, 3] - factor * turn @ estimated.pose[:3, 3]
+        turn = registered.world_from_cam0[:3, :3] @ estimated.pose[:3, :3].T
+        shift = registered.world_from_cam0[:3, 3] - factor * turn @ estimated.pose[:3, 3]
         return _Correction(keyframe, estimated.origin, Similarity(factor, turn, shift))
 
     def _put(
@@ -243,14 +241,14 @@ class InertialPlacement:
         if correction is None:
             store.metric.by_sensor |= {e.segment for e in estimated}
         else:
-            (placed,) = store.keyframes_by_id([correction.newest])
-            world[:] = store.world(placed.segment)
-            if placed.segment in store.metric.by_sensor:
+            (registered,) = store.keyframes_by_id([correction.newest])
+            world[:] = store.world(registered.segment)
+            if registered.segment in store.metric.by_sensor:
                 store.metric.by_sensor |= {e.segment for e in estimated}
             moved = correction.map_from_upright
             pose, scale = moved.transform_poses(pose), scale * moved.scale
             covariance = scaled_covariance(covariance, moved.scale)
-        store.place(
+        store.move_keyframes(
             np.array(keyframes, np.int64),
             world,
             pose,

@@ -17,10 +17,14 @@ import numpy as np
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Ints
 from vo.engine.geometry import sim3
+from vo.engine.loop_verification.landmark_search import KeyframePair
+from vo.engine.loop_verification.merged_landmarks import MergedLandmarks, in_view
+from vo.engine.loop_verification.patch_comparison import (
+    COMPARED_PX,
+    largest_correlation,
+    normalised,
+)
 from vo.engine.places.records import Place
-from vo.engine.verification.landmark_search import KeyframePair
-from vo.engine.verification.merged_landmarks import MergedLandmarks, in_view
-from vo.engine.verification.patch_comparison import COMPARED_PX, largest_correlation, normalised
 
 _SEARCHED_PX = COMPARED_PX + 2  # with shifts of a pixel
 _MIN_CONTRAST = 4.0  # standard deviation of a window, grey levels

@@ -26,8 +26,8 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:  # imported only where there are candidates: it takes a few ms each
     from vo.engine.inertial_path.alignment import InertialAlignment
-    from vo.engine.verification.loop_verifier import LoopVerifier
-    from vo.engine.verification.screening import Screening
+    from vo.engine.loop_verification.loop_verifier import LoopVerifier
+    from vo.engine.loop_verification.screening import Screening
 
 
 def make_memory(
@@ -82,8 +82,8 @@ def make_memory(
 
 def make_judges(vocabulary: Vocabulary, config: Config) -> tuple[Screening, LoopVerifier]:
     """The screening and the verification of candidates."""
-    from vo.engine.verification.loop_verifier import LoopVerifier
-    from vo.engine.verification.screening import Screening
+    from vo.engine.loop_verification.loop_verifier import LoopVerifier
+    from vo.engine.loop_verification.screening import Screening
 
     scale_factor, seed = config.features.scale_factor, config.seed
     verifier = LoopVerifier(scale_factor, sigma_px=config.patches.sigma_px, seed=seed)

@@ -11,9 +11,8 @@ import numpy as np
 
 from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
-from vo.engine.places.records import Loop, Place
-from vo.engine.verification.image_comparison import compare_images
-from vo.engine.verification.landmark_search import (
+from vo.engine.loop_verification.image_comparison import compare_images
+from vo.engine.loop_verification.landmark_search import (
     MAX_NEAR,
     FoundLandmarks,
     KeyframePair,
@@ -21,13 +20,14 @@ from vo.engine.verification.landmark_search import (
     agreeing,
     keyframe_pair,
 )
-from vo.engine.verification.merged_landmarks import in_view, merge_landmarks
-from vo.engine.verification.relation import (
+from vo.engine.loop_verification.merged_landmarks import in_view, merge_landmarks
+from vo.engine.loop_verification.relation import (
     LandmarkPairs,
     Relation,
     refine_relation,
     sample_relation,
 )
+from vo.engine.places.records import Loop, Place
 
 _MIN_LANDMARKS = 30
 _MIN_MATCHES = 15

@@ -15,10 +15,10 @@ import numpy as np
 
 from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
+from vo.engine.loop_verification.image_comparison import compare_images
+from vo.engine.loop_verification.landmark_search import keyframe_pair
 from vo.engine.places.database import KeyframeDatabase
-from vo.engine.places.records import Place, PlacedKeyframes, PlaceKey
-from vo.engine.verification.image_comparison import compare_images
-from vo.engine.verification.landmark_search import keyframe_pair
+from vo.engine.places.records import Place, PlaceKey, RegisteredKeyframes
 
 _BESIDE = 3  # keyframes that are compared on each side
 # Windows that are compared in all pairs, and ratio of those that may look different. Of motions
@@ -28,19 +28,19 @@ _MIN_WINDOWS, _MAX_DIFFERENT, _MIN_IMPROVEMENT = 30, 0.3, 2.0
 
 
 def unconfirmed_repairs(
-    database: KeyframeDatabase, camera: Camera, placed: PlacedKeyframes
+    database: KeyframeDatabase, camera: Camera, registered: RegisteredKeyframes
 ) -> tuple[PlaceKey, ...]:
     """Those of the keyframes `placed.wrong` whose new motion the images do not confirm.
 
     Where images confirm odometry, only these are returned: a motion that is free without need takes
     a part of the correction of others.
     """
-    keys = [key for key in placed.keys if key in database or key in placed.wrong]
-    poses = sim3.similarity(placed.world_from_cam, placed.scale)
-    world_from = dict(zip(placed.keys, poses, strict=True))
+    keys = [key for key in registered.keys if key in database or key in registered.wrong]
+    poses = sim3.similarity(registered.world_from_cam, registered.scale)
+    world_from = dict(zip(registered.keys, poses, strict=True))
     right: list[PlaceKey] = []
     unconfirmed: list[PlaceKey] = []
-    for motion in _consecutive(keys, placed.wrong):
+    for motion in _consecutive(keys, registered.wrong):
         first, last = keys.index(motion[0]), keys.index(motion[-1])
         before = _stored(database, keys[max(first - 2 * _BESIDE, 0) : first][::-1])
         after = _stored(database, keys[last : last + 2 * _BESIDE])
@@ -100,8 +100,8 @@ def _compared(
         if earlier[0].frame.segment != later[0].frame.segment:
             continue
         pair = keyframe_pair(later[0], earlier[:1], camera)
-        placed = sim3.inverse(world_from[earlier[0].key]) @ world_from[later[0].key]
+        registered = sim3.inverse(world_from[earlier[0].key]) @ world_from[later[0].key]
         tracked = sim3.inverse(earlier[0].odom_from_cam) @ later[0].odom_from_cam
-        by_loops += compare_images(pair, earlier, later, placed)
+        by_loops += compare_images(pair, earlier, later, registered)
         by_odometry += compare_images(pair, earlier, later, tracked)
     return _Windows(*by_loops.tolist()), _Windows(*by_odometry.tolist())

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from vo.base.types import Camera
+from vo.engine.loop_verification.landmark_search import LandmarkSearch, keyframe_pair
+from vo.engine.loop_verification.relation import sample_relation
 from vo.engine.places.records import Place
 from vo.engine.places.vocabulary import Vocabulary
-from vo.engine.verification.landmark_search import LandmarkSearch, keyframe_pair
-from vo.engine.verification.relation import sample_relation
 
 _DEPTH = 2  # of the nodes, of which there are 100
 _SAMPLES = 150

@@ -15,16 +15,16 @@ from vo.engine.frontend.contracts import Circles, FeatureSet
 from vo.engine.frontend.hamming_kernels import best_in_groups
 from vo.engine.frontend.matching import HammingMatcher, agree_in_rotation, as_words
 from vo.engine.geometry import sim3
-from vo.engine.mapping.octaves import predicted_octave
-from vo.engine.places.records import Place
-from vo.engine.verification.merged_landmarks import (
+from vo.engine.loop_verification.merged_landmarks import (
     MergedLandmarks,
     in_view,
     merge_landmarks,
     observed_xy,
 )
-from vo.engine.verification.patch_comparison import patch_correlation
-from vo.engine.verification.relation import LandmarkPairs, pair_errors
+from vo.engine.loop_verification.patch_comparison import patch_correlation
+from vo.engine.loop_verification.relation import LandmarkPairs, pair_errors
+from vo.engine.mapping.octaves import predicted_octave
+from vo.engine.places.records import Place
 
 MAX_NEAR = 100.0  # squared errors that a better relation may make small
 _SEARCH_RATIO, _MIN_SEARCH_PX = 0.012, 5.0  # radius around predicted positions

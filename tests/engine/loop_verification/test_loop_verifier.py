@@ -11,11 +11,11 @@ import pytest
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.geometry import sim3
+from vo.engine.loop_verification.loop_verifier import LoopVerifier, Rejection, RejectionReason
+from vo.engine.loop_verification.screening import Screening
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.places.records import PATCH_PX, Loop, Place, PlaceKey, PlaceLandmarks
 from vo.engine.places.vocabulary_file import built_in_vocabulary
-from vo.engine.verification.loop_verifier import LoopVerifier, Rejection, RejectionReason
-from vo.engine.verification.screening import Screening
 
 CAMERA = Camera(640, 480, 400.0, 400.0, 320.0, 240.0)
 SHIFT = np.array([0.02, -0.05, 0.01, 0.15, 0.05, -0.1, 0.0])  # of the second visit
