@@ -218,7 +218,7 @@ class RefinementConfig(Section):
         True, description="stereo: estimate and correct a disparity bias, constant or curved"
     )
     lens_correction: bool = Field(
-        True, description="mono: estimate and correct an error of the radial distortion"
+        True, description="estimate and correct an error of the lens, in stereo of both lenses"
     )
 
 

@@ -27,10 +27,6 @@ class MapUpdater:
         vertical_disparity: as estimated so far, None if it is unknown.
         corrected: vertical disparities corrected in right images.
         stopwatch: measures the stage `window`.
-
-    Args:
-        tracker: is moved with the newest keyframe.
-        window: optimises the newest keyframes.
     """
 
     def __init__(

@@ -187,8 +187,8 @@ def _view(result: FrameResult, local_map: LocalMap) -> View:
     if tracked is not None:
         count = len(tracked.ids)
         previous_xy[:count] = _pixels_in(result.before, tracked.ids)
-        right = tracked.observed.image_xy[:, 0] - tracked.observed.disparity
-        right_u[:count] = right - rig.disparity_error(right)
+        observed = tracked.observed
+        right_u[:count] = rig.right_pixels(observed.image_xy, observed.disparity)[:, 0]
         error_px[:count] = _reprojection_error(result, local_map)
     return View(
         image0=frame.image0,

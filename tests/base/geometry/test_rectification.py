@@ -273,3 +273,20 @@ def test_a_corrected_lens_with_a_smaller_reach_loses_no_feature() -> None:
     before, after = rectified.undistort(xy), corrected.undistort(xy)
     assert np.isnan(before).any() and not np.isnan(before).all()
     np.testing.assert_array_equal(np.isnan(after), np.isnan(before))
+
+
+def test_a_k1_error_of_both_lenses_changes_disparities_and_rows() -> None:
+    ideal = replace(rectified_rig(_ideal_pair(-0.5)), disparity_offset_px=0.3)
+    wrong = ideal.with_k1_error(0.03)
+    rng = np.random.default_rng(0)
+    xy = rng.uniform((0.3 * ideal.width, 0), (ideal.width, ideal.height), (50, 2))
+    disparity = rng.uniform(2.0, 80.0, 50)
+    for rig in (ideal, wrong):
+        right_xy = rig.right_pixels(xy, disparity)
+        assert rig.ideal_disparity(xy, right_xy) == pytest.approx(disparity, abs=0.05)
+    # Each image is bent on its own: the right pixel of an ideal one is bent where it is.
+    bent = wrong.distort(xy)
+    right = ideal.right_pixels(xy, disparity) + (0.3, 0.0)
+    assert wrong.right_pixels(bent, disparity) + (0.3, 0.0) == pytest.approx(
+        wrong.distort(right), abs=0.01
+    )

@@ -37,7 +37,7 @@ def _refiner(
 def _residual(stereo: bool) -> CalibrationResidual:
     if stereo:
         return CalibrationResidual(np.array([0.6, -1.2]), np.eye(2) * 0.02**-2)
-    return CalibrationResidual(np.array([0.006]), np.array([[1e6]]))
+    return CalibrationResidual(np.array([0.012]), np.array([[1e6]]))
 
 
 def _third(refiner: CalibrationRefiner, stereo: bool, skew_px: float | None) -> Correction | None:
@@ -55,16 +55,29 @@ def test_the_first_windows_are_all_evaluated_and_then_every_third_for_three(ster
 
 
 @pytest.mark.parametrize(
-    ("stereo", "off", "other"),
+    ("stereo", "is_on"),
     [
-        (True, "disparity_correction", "lens_correction"),
-        (False, "lens_correction", "disparity_correction"),
+        (True, {"disparity_correction": True, "lens_correction": True}),
+        (False, {"disparity_correction": False, "lens_correction": True}),
     ],
 )
-def test_each_correction_can_be_switched_off_alone(stereo: bool, off: str, other: str) -> None:
-    for key, is_on in ((off, False), (other, True)):
-        refiner = _refiner(stereo=stereo, config=RefinementConfig(**{key: False}))
-        assert [refiner.window_weight(n) > 0 for n in (0, 12)] == [is_on] * 2
+def test_each_correction_can_be_switched_off_alone(stereo: bool, is_on: dict[str, bool]) -> None:
+    for key in is_on:
+        refiner = _refiner(stereo=stereo, config=RefinementConfig(**{k: k == key for k in is_on}))
+        assert [refiner.window_weight(n) > 0 for n in (0, 12)] == [is_on[key]] * 2
+
+
+def test_lenses_of_a_pair_are_corrected_before_the_disparities_that_they_spoil() -> None:
+    refiner = _refiner(stereo=True)
+    wrong = _residual(True)._replace(bend=0.02, bend_sigma=0.001)
+    assert [refiner.update(wrong, 1, None) for _ in range(2)] == [None, None]
+    found = refiner.update(wrong, 1, None)
+    assert isinstance(found, RadialDistortionCorrection)
+    assert found.k1 == pytest.approx(0.02, rel=1e-3)
+    # What the uncorrected lenses did to disparities is forgotten.
+    right = CalibrationResidual(np.zeros(2), np.eye(2) * 0.02**-2, 0.0, 0.001)
+    assert [refiner.update(right, 1, None) for _ in range(20)] == [None] * 20
+    assert not refiner.faults
 
 
 def test_disparities_of_a_depth_camera_are_not_evaluated() -> None:
@@ -89,7 +102,7 @@ def test_a_disparity_bias_is_a_yaw_only_with_the_skew_of_one(
 def test_a_single_camera_gets_a_correction_of_its_lens() -> None:
     correction = _third(_refiner(stereo=False), False, None)
     assert correction == RadialDistortionCorrection(
-        pytest.approx(0.006, rel=1e-3)  # type: ignore[arg-type]
+        pytest.approx(0.012, rel=1e-3)  # type: ignore[arg-type]
     )
 
 

@@ -171,14 +171,3 @@ def test_a_correction_that_grows_beyond_what_is_plausible_is_taken_back() -> Non
         watch.update(_left(9.0 - float(watch.applied[0]), 0.02))
     assert watch.applied.tolist() == [0.0, 0.0]
     assert watch.faults[0].value > 3.0
-
-
-@pytest.mark.parametrize(
-    ("bend", "sigma", "is_open"), [(-0.1, 0.005, True), (0.015, 0.0003, False), (-0.1, 0.1, False)]
-)
-def test_lenses_that_are_quite_others_are_a_fault(bend: float, sigma: float, is_open: bool) -> None:
-    watch = DisparityBiasEstimator(RIG)
-    for _ in range(3):
-        watch.update(_left(0.0, 0.02)._replace(bend=bend, bend_sigma=sigma))
-    assert [fault.kind for fault in watch.faults] == [FaultKind.WRONG_LENS] * is_open
-    assert not any(fault.is_handled for fault in watch.faults)

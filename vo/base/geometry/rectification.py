@@ -121,6 +121,24 @@ class RectifiedRig:
         x = (right_u - self.cx) / self.fx
         return np.asarray(self.disparity_offset_px + self.disparity_curve_px * x**2)
 
+    def ideal_disparity(self, xy: Floats, right_xy: Floats) -> Floats:
+        """Disparities (N,) of left pixels (N, 2) and right ones, their known errors corrected."""
+        disparity = xy[:, 0] - right_xy[:, 0] - self.disparity_error(right_xy[:, 0])
+        if self.lens is None:
+            return np.asarray(disparity)
+        lens = self.undistort(xy) - xy - (self.undistort(right_xy) - right_xy)
+        return np.asarray(disparity + lens[:, 0])
+
+    def right_pixels(self, xy: Floats, disparity: Floats) -> Floats:
+        """Pixels (N, 2) in the right image, of left ones (N, 2) with ideal disparities (N,)."""
+        if self.lens is None:
+            shift = disparity + self.disparity_error(xy[:, 0] - disparity)
+            return np.asarray(xy - np.column_stack([shift, np.zeros(len(shift))]))
+        ideal = self.undistort(xy)
+        right_xy = self.distort(np.column_stack([ideal[:, 0] - disparity, ideal[:, 1]]))
+        right_xy[:, 0] -= self.disparity_error(right_xy[:, 0])
+        return right_xy
+
     def undistort(self, xy: Floats | Floats32) -> Floats:
         """Undistorted pixels (N, 2) of rectified image pixels (N, 2); NaN beyond 75 degrees."""
         at = np.asarray(xy, dtype=np.float64)

@@ -39,7 +39,7 @@ class RightCameraError(NamedTuple):
 
 
 class LensError(NamedTuple):
-    """Error of a single camera's lens that was found and is corrected.
+    """Error of a lens, or of both lenses of a pair, that was found and is corrected.
 
     Attributes:
         k1: error of its first radial coefficient, that of OpenCV's `radtan` model.

@@ -92,8 +92,7 @@ class StereoMatcher:
         )
         found = matches.query
         disparity = np.full(len(rows), np.nan)
-        right_u = right.xy[matches.train, 0].astype(np.float64)
-        guess = xy[found, 0] - right_u - rig.disparity_error(right_u)
+        guess = rig.ideal_disparity(xy[found], right.xy[matches.train].astype(np.float64))
         disparity[found] = self._measure_in_pair(frame, xy[found], guess, rig)
         disparity = self._fill_from_neighbours(disparity, xy, frame, rig)
         return self._measure_on_surfaces(disparity, xy, frame, rig)
@@ -108,11 +107,10 @@ class StereoMatcher:
     ) -> Floats:
         assert frame.right is not None
         image0, image1, mask = frame.image0, frame.right[0], frame.masks[1]
-        expected = guess + rig.disparity_error(xy[:, 0] - guess)
-        start = xy - np.column_stack([expected, np.zeros(len(guess))])
+        start = rig.right_pixels(xy, guess)
         shear = None if slope is None else left_from_right(guess, slope)
         found = self._patches.align(patches_of(image0, xy, shear), image1, start)
-        disparity = xy[:, 0] - found.xy[:, 0] - rig.disparity_error(found.xy[:, 0])
+        disparity = rig.ideal_disparity(xy, found.xy)
         good = self._patches.is_found(found)
         good &= np.abs(found.xy[:, 1] - xy[:, 1]) <= self._config.max_row_offset_px
         max_change = np.maximum(_MAX_CHANGE_PX, _MAX_CHANGE_RATIO * guess)

@@ -238,9 +238,7 @@ class LocalMap:
     def clear_corrected(self) -> None:
         """Remove all keyframes and landmarks, and all corrections of the calibration."""
         self.clear()
-        rig = replace(
-            self.rig, disparity_offset_px=0.0, disparity_curve_px=0.0, offset_is_yaw=False
-        )
+        rig = _without_disparity_error(self.rig)
         self.rig = rig if rig.k1_error == 0.0 else rig.with_k1_error(0.0)
 
     def correct_disparities(self, offset_px: float, curve_px: float, *, is_yaw: bool) -> None:
@@ -258,9 +256,14 @@ class LocalMap:
             keyframe.disparity -= change
 
     def correct_radial_distortion(self, k1: float) -> None:
-        """Replace the correction of the lens, for keyframes in the map too."""
-        self.rig = self.rig.with_k1_error(k1)
+        """Replace the correction of all lenses; a bias of disparities found without it is void."""
+        before, self.rig = self.rig, self.rig.with_k1_error(k1)
+        if (before.k1_error == 0.0) != (k1 == 0.0):
+            self.rig = _without_disparity_error(self.rig)
         for keyframe in self.keyframes:
+            if self.rig.is_metric:
+                right_xy = before.right_pixels(keyframe.image_xy, keyframe.disparity)
+                keyframe.disparity = self.rig.ideal_disparity(keyframe.image_xy, right_xy)
             keyframe.undistort(self.rig, self.inverse_depth(keyframe))
 
     def correct_vertical_disparity(self, before: VerticalDisparity, now: VerticalDisparity) -> None:
@@ -339,3 +342,7 @@ class LocalMap:
             self.rig.fx,
             self.rig.fx * self.rig.baseline_m,
         )
+
+
+def _without_disparity_error(rig: RectifiedRig) -> RectifiedRig:
+    return replace(rig, disparity_offset_px=0.0, disparity_curve_px=0.0, offset_is_yaw=False)

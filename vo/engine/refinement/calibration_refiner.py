@@ -32,11 +32,7 @@ class DisparityCorrection(NamedTuple):
 
 
 class RadialDistortionCorrection(NamedTuple):
-    """Error of a lens.
-
-    Attributes:
-        k1: to be added to its first radial coefficient.
-    """
+    """Error of a lens, or of both of a pair: `k1` is to be added to its first coefficient."""
 
     k1: float
 
@@ -45,7 +41,7 @@ Correction = DisparityCorrection | RadialDistortionCorrection
 
 
 class CalibrationRefiner:
-    """Estimates corrections: of the disparity bias in stereo, of the lens in mono.
+    """Estimates corrections: of the lens, and in stereo of the disparity bias that remains.
 
     Args:
         has_depth: whether disparities are those of a depth camera, which has other errors.
@@ -53,22 +49,21 @@ class CalibrationRefiner:
 
     def __init__(self, rig: RectifiedRig, config: RefinementConfig, *, has_depth: bool) -> None:
         self._rig = rig
-        self._estimator = _estimator(rig)
-        if rig.is_metric:
-            self._is_enabled = config.disparity_correction and not has_depth
-        else:
-            self._is_enabled = config.lens_correction
+        self._has_lens = config.lens_correction and not has_depth
+        self._has_bias = rig.is_metric and config.disparity_correction and not has_depth
         self._submitted = 0  # windows
         self._resume = 0  # number of the first window that is evaluated after a suspension
+        self.restart()
 
     @property
     def faults(self) -> tuple[Fault, ...]:
         """Errors that are known now and cannot be corrected."""
-        return self._estimator.faults
+        return (*self._lens.faults, *(() if self._bias is None else self._bias.faults))
 
     def restart(self) -> None:
         """Forget all windows: what they observed was no rigid scene."""
-        self._estimator = _estimator(self._rig)
+        self._lens = RadialDistortionEstimator(self._rig)
+        self._bias = DisparityBiasEstimator(self._rig) if self._rig.is_metric else None
 
     def suspend(self) -> None:
         """Evaluate no window with any of the newest keyframes.
@@ -81,7 +76,7 @@ class CalibrationRefiner:
     def window_weight(self, number: int) -> int:
         """How many windows the residual of window `number` stands for; 0 for no evaluation."""
         self._submitted = number
-        if not self._is_enabled or number < self._resume:
+        if not (self._has_lens or self._has_bias) or number < self._resume:
             return 0
         if number < _EVALUATE_ALL:
             return 1
@@ -93,26 +88,21 @@ class CalibrationRefiner:
         weight: int,
         vertical_disparity: VerticalDisparity | None,
     ) -> Correction | None:
-        """Add the residual of a window; the new total correction, None for no change.
-
-        Args:
-            residual: of the window.
-            weight: number of windows that it stands for.
-            vertical_disparity: estimated vertical disparities of the pair, None if unknown.
-        """
+        """Add the residual of so many windows; the new total correction, None for no change."""
         if self._submitted < self._resume:
             return None
-        if isinstance(self._estimator, RadialDistortionEstimator):
-            k1 = self._estimator.update(residual, weight)
-            return None if k1 is None else RadialDistortionCorrection(k1)
+        before = self._lens.applied
+        k1 = self._lens.update(residual, weight) if self._has_lens else None
+        if k1 is not None:
+            if self._bias is not None and (before == 0.0) != (k1 == 0.0):
+                self._bias = DisparityBiasEstimator(self._rig)  # the other lens had another one
+            return RadialDistortionCorrection(k1)
+        if self._bias is None or not self._has_bias:
+            return None
         skew_px = None if vertical_disparity is None else vertical_disparity.skew_px
-        bias = self._estimator.update(residual, weight, skew_px)
+        bias = self._bias.update(residual, weight, skew_px)
         if bias is None:
             return None
         offset_px, curve_px = bias.tolist()
         is_yaw = skew_px is not None and is_from_yaw(offset_px, skew_px)
         return DisparityCorrection(offset_px, curve_px, is_yaw)
-
-
-def _estimator(rig: RectifiedRig) -> DisparityBiasEstimator | RadialDistortionEstimator:
-    return DisparityBiasEstimator(rig) if rig.is_metric else RadialDistortionEstimator(rig)

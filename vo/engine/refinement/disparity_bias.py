@@ -8,7 +8,6 @@ from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.types import Bools, Floats
-from vo.engine.refinement.radial_distortion import LensCheck
 
 # Windows of one recording differ by more than their noise, due to uneven rectification and moving
 # objects: a standard deviation of 0.1 px at the image's sides, measured on real recordings.
@@ -26,9 +25,6 @@ _MEMORY = 20  # windows by which a correction is judged
 # A calibration that is slightly wrong has a smaller bias, in the middle and at the sides of the
 # image; only that of a yaw, which rows confirm, may be larger.
 _MAX_BIAS_PX, _MAX_YAW_RAD = 3.0, 0.0105  # 0.6 degrees
-# Shift at the image corners by the same error of k1 in both lenses: up to 7 px in pairs as
-# calibrated (kitti_raw; 0.1 to 4 px in others), 98 and 130 px where lenses are taken for ideal.
-_MIN_LENS_PX = 12.0
 
 
 class DisparityBiasEstimator:
@@ -44,7 +40,6 @@ class DisparityBiasEstimator:
     def __init__(self, rig: RectifiedRig) -> None:
         self.applied: Floats = np.zeros(2)
         self._implausible_px = 0.0
-        self._check = LensCheck(rig, power=3, min_px=_MIN_LENS_PX)
         edge = max(rig.cx, rig.width - rig.cx) / rig.fx
         self._edge = np.array([1.0, edge**2])  # value of each of the two at the image's sides
         self._systematic = np.diag((_SYSTEMATIC_PX / self._edge) ** 2)
@@ -54,11 +49,9 @@ class DisparityBiasEstimator:
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """A bias or lenses that are too wrong to be corrected."""
-        bias = Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=self._implausible_px)
-        lens = Fault(FaultKind.WRONG_LENS, value=self._check.corner_px)
-        found = (self._implausible_px != 0.0, self._check.is_significant)
-        return tuple(fault for fault, is_found in zip((bias, lens), found, strict=True) if is_found)
+        """A bias that is too large to be corrected."""
+        fault = Fault(FaultKind.WRONG_STEREO_CALIBRATION, value=self._implausible_px)
+        return (fault,) if self._implausible_px != 0.0 else ()
 
     def update(
         self, residual: CalibrationResidual, windows: int = 1, skew_px: float | None = None
@@ -67,15 +60,11 @@ class DisparityBiasEstimator:
 
         Windows overlap: one in ten counts for the uncertainty of their mean.
 
-        Args:
-            residual: of the window.
-            windows: number of windows that it stands for.
-            skew_px: of vertical disparities, None if it is unknown.
+        `skew_px`: of vertical disparities, None if it is unknown.
 
         Returns:
             The new offset and curve to apply, None for no change.
         """
-        self._check.add(residual, windows)
         covariance = np.linalg.inv(residual.information) + self._systematic
         information: Floats = np.asarray(np.linalg.inv(covariance))
         if self._is_refuted(residual.value, information, windows):

@@ -45,6 +45,7 @@ def run_warnings(summary: Summary) -> list[str]:
             summary.disparity_offset_px,
             summary.disparity_curve_px,
             [record.kind for record in summary.faults if not record.is_handled],
+            is_pair=summary.facts.mode == "stereo",
         ),
         *far_scene_warnings(summary.median_disparity_px),
         *map_warnings(summary.map, [s.segment for s in summary.segments]),
@@ -124,6 +125,8 @@ def calibration_warnings(
     offset_px: float,
     curve_px: float,
     open_faults: Collection[FaultKind],
+    *,
+    is_pair: bool = False,
 ) -> list[str]:
     """One warning for each error of the calibration that has been corrected.
 
@@ -144,7 +147,7 @@ def calibration_warnings(
     if abs(curve_px) >= _MIN_DISPARITY_ERROR_PX and not is_explained:
         warnings.append(_curve_warning(curve_px))
     if lens is not None and FaultKind.WRONG_LENS not in open_faults:
-        warnings.append(_lens_warning(lens))
+        warnings.append(_lens_warning(lens, is_pair=is_pair))
     return warnings
 
 
@@ -159,7 +162,12 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
     if not apart:
         return []
     if len(apart) == len(segments):
-        return [f"no segment was merged with the map {use.file}: the path is in a world of its own"]
+        return [
+            f"no segment was merged with the map {use.file}: the path is in a world of its own. "
+            "Places are recognised from about where, and in about the direction, that the map's "
+            "sessions saw them: a drive in the other direction needs a session of its own in the "
+            "map, or markers"
+        ]
     numbers = ", ".join(str(segment) for segment in apart)
     return [f"not in the world of the map {use.file}, in worlds of their own: segments {numbers}"]
 
@@ -223,11 +231,11 @@ def _right_camera_warning(error: RightCameraError) -> str:
     )
 
 
-def _lens_warning(error: LensError) -> str:
+def _lens_warning(error: LensError, *, is_pair: bool) -> str:
     amount = f"k1 by {error.k1:+.4f}, {error.edge_px:+.1f} px at the image's edges"
+    what = "both lenses differ from their" if is_pair else "the lens differs from its"
     return (
-        f"the lens differs from its calibration ({amount}); this has been corrected, but calibrate "
-        "again: vo calibrate"
+        f"{what} calibration ({amount}); this has been corrected, but calibrate again: vo calibrate"
     )
 
 
