@@ -23,7 +23,9 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fuzz_samples import Sample, make_samples
+from fuzz_beside import sealed
+from fuzz_kinds import Sample
+from fuzz_samples import make_samples
 
 VO = Path(sys.executable).with_name("vo")
 OUTCOMES = ("error line", "read", "traceback", "hang", "memory")
@@ -38,6 +40,15 @@ _COMMANDS = {
     "trajectory": ("eval", "{}", "{}"),
     "report": ("report", "{}", "-o", "{}.html"),
     "config": ("run", ".", "--config", "{}", "-o", "{}.out"),
+    "positions": ("run", ".", "--mode", "mono", "--scale-from", "{}", "-o", "{}.out"),
+    "markers": ("run", ".", "--mode", "mono", "--marker-map", "{}", "-o", "{}.out"),
+    "manifest": ("batch", "--manifest", "{}", "-o", "{}.out"),
+    "imu": ("info", "{}"),
+    "mesh": ("render", "a.run", "--model", "{}", "-o", "{}.png"),
+    "map": ("map", "info", "{}"),
+    "vocabulary": ("run", ".", "--set", "memory.vocabulary={}", "-o", "{}.out"),
+    "objects": ("recognize", "list", "--database", "{}"),
+    "batch": ("compare", "{}", "{}"),
 }
 
 
@@ -142,7 +153,9 @@ def _damaged(sample: Sample, folder: Path, rng: random.Random) -> Path:
         for file in folder.rglob("*")
         if file.is_file() and (not sample.suffixes or file.suffix in sample.suffixes)
     )
-    damage(rng.choice(files), rng)
+    file = rng.choice(files)
+    damage(file, rng)
+    sealed(file)
     return folder / sample.path
 
 

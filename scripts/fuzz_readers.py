@@ -17,9 +17,19 @@ from vo.base.errors import ConfigError, VoError
 from vo.base.geometry.rectification import rectified_rig
 from vo.cli.app import app
 from vo.cli.report import _entries
+from vo.engine.maps.map_file import MapFile
+from vo.engine.places.vocabulary_file import read_vocabulary
 from vo.outputs.report.page import make_page
 from vo.recordings.formats.calibration import read_calibration
+from vo.recordings.formats.mesh import read_mesh
+from vo.recordings.sources.imu_table import read_imu_table
 from vo.recordings.sources.registry import open_source
+from vo.runs.batch.job import Job
+from vo.runs.batch.planning import plan
+from vo.runs.scaling.positions import read_positions
+from vo.tools.maps.contents import map_contents
+from vo.tools.markers.marker_map import read_marker_map
+from vo.tools.objects.database_file import read_objects
 
 _FRAMES = 4
 
@@ -79,12 +89,39 @@ def _config(path: Path, number: int) -> None:
             load_config(overrides=[f"features.count={value}"])
 
 
+def _manifest(path: Path, number: int) -> None:
+    plan([], Job("", ""), manifest=path)
+
+
+def _map(path: Path, number: int) -> None:
+    if number % 2:
+        _command("map", "info", str(path), *(["--json"] if number % 4 == 1 else []))
+        return
+    with MapFile(path) as file:
+        map_contents(file)
+
+
+def _batch(path: Path, number: int) -> None:
+    other = str(path.with_name("after"))
+    words = (str(path), other) if number % 2 else (other, str(path))
+    _command("compare", *words, *(["--json"] if number % 3 else []))
+
+
 READERS: dict[str, Callable[[Path, int], None]] = {
     "recording": _recording,
     "calibration": _calibration,
     "trajectory": _trajectory,
     "report": _report,
     "config": _config,
+    "positions": lambda path, _: read_positions(str(path)) and None,
+    "markers": lambda path, _: read_marker_map(path) and None,
+    "manifest": _manifest,
+    "imu": lambda path, _: read_imu_table(path) and None,
+    "mesh": lambda path, _: read_mesh(path) and None,
+    "map": _map,
+    "vocabulary": lambda path, _: read_vocabulary(path) and None,
+    "objects": lambda path, _: read_objects(path) and None,
+    "batch": _batch,
 }
 
 

@@ -8,10 +8,11 @@ import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
+from fuzz_beside import beside_recordings
+from fuzz_kinds import Sample
 
 ROOT = Path(__file__).resolve().parent.parent
 for _folder in ("tests/recordings/sources", "tests/recordings/formats/calibration"):
@@ -33,16 +34,6 @@ _CALIBRATIONS = {
 }
 
 
-class Sample(NamedTuple):
-    """A kind of input."""
-
-    kind: str
-    reader: str  # how it is read, a key of `fuzz_readers.READERS`
-    folder: Path
-    path: str  # what is read, relative to the folder
-    suffixes: tuple[str, ...] = ()  # files that are damaged; all if empty
-
-
 def make_samples(root: Path) -> list[Sample]:
     """Write all samples into a folder."""
     return [
@@ -54,6 +45,7 @@ def make_samples(root: Path) -> list[Sample]:
         *_trajectories(root),
         *_runs(root),
         *_configs(root),
+        *beside_recordings(root),
     ]
 
 
