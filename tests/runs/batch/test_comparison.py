@@ -120,3 +120,15 @@ def test_a_folder_without_a_batch_is_one_line(folders: list[str], tmp_path: Path
 def test_names_that_look_like_formulas_are_text_in_the_table() -> None:
     rows = table_text([JobResult("=cmd|' /C calc'!A0", "walk", JobStatus.DONE, tags={"t": "@x"})])
     assert "'=cmd" in rows and "'@x" in rows and not rows.splitlines()[1].startswith("=")
+
+
+@pytest.mark.parametrize(
+    "result", [7, {"name": 7}, {"ate_m": "far"}, {"tags": 3}, {"tags": {"a": None}}, {"status": []}]
+)
+def test_a_damaged_batch_is_one_line(tmp_path: Path, result: object) -> None:
+    whole = results(count=1)[0].to_dict()
+    damaged = whole | result if isinstance(result, dict) else result
+    (tmp_path / "batch.json").write_text(json.dumps({"results": [damaged]}))
+    found = CliRunner().invoke(app, ["compare", str(tmp_path), str(tmp_path)])
+    assert found.exit_code == 1 or result == {"tags": {"a": None}}
+    assert found.exception is None or isinstance(found.exception, SystemExit)

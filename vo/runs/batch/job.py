@@ -64,6 +64,9 @@ class JobStatus(StrEnum):
     NOT_RUN = "not run"  # the batch was interrupted before
 
 
+_TYPES: dict[str, Any] = {"str": str, "int": int, "float": (int, float), "Mapping[str,": dict}
+
+
 @dataclass(frozen=True)
 class JobResult:
     """What came of a job; figures are those of `summary.json`, None without a result.
@@ -112,8 +115,15 @@ class JobResult:
         Raises:
             ValueError, TypeError: it is not one.
         """
-        known = {f.name for f in fields(JobResult)}
-        kept = {name: value for name, value in values.items() if name in known}
+        if not isinstance(values, dict):
+            raise TypeError("no result")
+        types = {f.name: _TYPES.get(f.type.partition(" ")[0]) for f in fields(JobResult)}
+        kept = {name: value for name, value in values.items() if name in types}
+        for name, value in kept.items():
+            wanted = types[name]
+            if value is not None and wanted is not None and not isinstance(value, wanted):
+                raise TypeError(f"{name} is {value}")
         kept["status"] = JobStatus(kept["status"])
-        kept["warnings"] = tuple(kept.get("warnings") or ())
+        kept["tags"] = {str(tag): str(value) for tag, value in (kept.get("tags") or {}).items()}
+        kept["warnings"] = tuple(map(str, kept.get("warnings") or ()))
         return JobResult(**kept)
