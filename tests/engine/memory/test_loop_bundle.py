@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -156,6 +156,12 @@ def test_the_drift_of_the_scale_is_removed() -> None:
     # The unit of each keyframe's odometry has grown as the scale drifted.
     expected = circle.scale[0] / circle.scale
     np.testing.assert_allclose(adjusted.scale / adjusted.scale[0], expected, rtol=0.02)
+
+
+def test_an_adjustment_that_contradicts_the_scales_at_loops_is_refused() -> None:
+    circle = _circle()
+    loops = [replace(loop, scale=1.0) for loop in circle.loops]  # as the graph has them
+    assert circle.bundle.adjusted(_placed(circle), loops) is None
 
 
 def test_a_world_without_a_loop_or_without_observations_is_left_alone() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from vo.base.failures import Failure, FailureReason, Gap, ImageDefect
 from vo.base.faults import Fault, FaultKind
@@ -144,6 +145,21 @@ def test_a_path_that_loops_have_repaired_is_not_trusted() -> None:
     repaired = replace(summary, loops=(loop, replace(loop, kind="repair")))
     assert repaired.verdict.word == "not to be trusted"
     assert len(repaired.warnings) == 1 and "little of the map agreed" in repaired.warnings[0]
+
+
+@pytest.mark.parametrize(("keyframes", "is_trusted"), [(9, False), (10, True)])
+def test_parts_that_a_long_stretch_joins_are_trusted(keyframes: int, is_trusted: bool) -> None:
+    merge = ClosedLoop("merge", 90, 10, 1, 0, 80, None, None, None)
+    others = [
+        replace(merge, kind="merge" if n < 3 else "loop", frame=90 + n, earlier_frame=10 + n)
+        for n in range(1, keyframes)
+    ]
+    elsewhere = [replace(merge, kind="loop", segment=0)] * 20  # do not speak for the merge
+    summary = summary_of([estimate(0), estimate(1)], path_of([0, 1]))
+    joined = replace(summary, loops=(merge, *others, *elsewhere))
+    assert joined.verdict.is_trusted is is_trusted
+    assert joined.verdict.word == ("complete, with warnings" if is_trusted else "not to be trusted")
+    assert "joined only by what places look like" in joined.warnings[0]
 
 
 def test_incomplete_runs_have_warnings() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+_CERTAIN = 10  # keyframes that agree on where two parts are: a stretch, of which no copy is known
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,19 @@ class ClosedLoop:
     def repairs(self) -> bool:
         """Whether it contradicts odometry, which was doubted in between."""
         return self.kind == "repair"
+
+
+def are_doubtful(loops: Sequence[ClosedLoop]) -> bool:
+    """Whether loops replace motions of odometry, or join parts by a few keyframes alone."""
+    keyframes: dict[tuple[int | None, ...], int] = {}
+    joined = set()
+    for loop in loops:
+        pair = loop.earlier_session, *sorted((loop.segment, loop.earlier_segment))
+        keyframes[pair] = keyframes.get(pair, 0) + (1 if loop.marker is None else loop.inliers)
+        if loop.joins:
+            joined.add(pair)
+    has_repairs = any(loop.repairs for loop in loops)
+    return has_repairs or any(keyframes[pair] < _CERTAIN for pair in joined)
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.types import Floats, Ints
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.geometry import sim3
 
-# Standard deviations of the drift of odometry that the windows' covariances do not contain.
-# Random, for each step: ratio of its length, radians, and in mono of the logarithm of the scale.
-_STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.002, 1e-4, 0.01
-_INERTIAL_STEP_LOG_SCALE = 0.0015  # where an inertial sensor gives the scale
-# Systematic, the same in all steps: ratios of their lengths and of their rotations.
-_DRIFT_RATIO, _DRIFT_ROTATION_RATIO = 0.01, 0.005
+
+class Drift(NamedTuple):
+    """Standard deviations of errors of odometry that the windows' covariances do not contain.
+
+    Attributes:
+        step_ratio: random, ratio of the length of each step.
+        step_rad: random, of each step.
+        ratio: systematic, the same in all steps, of their lengths.
+        rotation_ratio: systematic, of their rotations.
+    """
+
+    step_ratio: float
+    step_rad: float
+    ratio: float
+    rotation_ratio: float
+
+
+LARGEST = Drift(0.002, 1e-4, 0.01, 0.005)  # that a true loop may contradict; in mono, the usual one
+USUAL = Drift(0.0014, 3e-4, 0.002, 0.001)  # in metres (docs/experiments/loop-weights.md)
+# Random, of the logarithm of the scale in mono, for each step, and with an inertial sensor.
+_STEP_LOG_SCALE, _INERTIAL_STEP_LOG_SCALE = 0.01, 0.0015
 # Steps whose covariance is unknown.
 _UNKNOWN_RATIO, _UNKNOWN_RAD = 0.1, 0.02
 _UNKNOWN_LOG_SCALE = 0.03  # of two segments that an inertial sensor has joined
@@ -31,13 +48,17 @@ class ChainMotions:
 
     Attributes:
         odom_from_cam: (n, 4, 4) similarities of all rows of the graph.
+
+    Args:
+        problem: the graph.
+        metric_drift: of its metric chains.
     """
 
-    def __init__(self, problem: GraphProblem) -> None:
+    def __init__(self, problem: GraphProblem, metric_drift: Drift = LARGEST) -> None:
         self.odom_from_cam = sim3.similarity(problem.odom_from_cam, problem.scale)
         self._adjoint = sim3.adjoint(self.odom_from_cam)
         self._inverse_adjoint = sim3.adjoint(sim3.inverse(self.odom_from_cam))
-        noise, drift = _step_errors(problem, self.odom_from_cam)
+        noise, drift = _step_errors(problem, self.odom_from_cam, metric_drift)
         carried = self._adjoint @ noise @ np.swapaxes(self._adjoint, 1, 2)
         self._noise = np.cumsum(carried, axis=0)
         self._drift = np.cumsum(self._adjoint @ drift, axis=0)
@@ -69,7 +90,9 @@ class ChainMotions:
         return np.asarray(self._inverse_adjoint[a] @ self._adjoint[b])
 
 
-def _step_errors(problem: GraphProblem, poses: Floats) -> tuple[Floats, Floats]:
+def _step_errors(
+    problem: GraphProblem, poses: Floats, metric_drift: Drift
+) -> tuple[Floats, Floats]:
     """Covariances of the steps (n, 7, 7), and factors (n, 7, 7) of their systematic errors.
 
     They belong to the step that ends in a row, and are in its frame and unit. A row without a step
@@ -88,14 +111,15 @@ def _step_errors(problem: GraphProblem, poses: Floats) -> tuple[Floats, Floats]:
     noise[rows, :6, :6] = problem.covariance[rows]
     unknown = ~np.isfinite(noise[rows]).all(axis=(1, 2))
     noise[rows[unknown]] = 0.0
-    ratio = np.where(unknown, _UNKNOWN_RATIO, _STEP_RATIO)
-    radians = np.where(unknown, _UNKNOWN_RAD, _STEP_RAD)
+    expected = np.where(problem.is_metric[rows], np.array([metric_drift]).T, np.array([LARGEST]).T)
+    ratio = np.where(unknown, _UNKNOWN_RATIO, expected[0])
+    radians = np.where(unknown, _UNKNOWN_RAD, expected[1])
     shortest = 1e-6 * max(float(length.max()), 1e-6)
     for axis in range(3):
         noise[rows, axis, axis] += radians**2
         noise[rows, axis + 3, axis + 3] += (ratio * length) ** 2 + shortest**2
-        drift[rows, axis, axis] = _DRIFT_ROTATION_RATIO * angle
-        drift[rows, axis + 3, axis + 3] = _DRIFT_RATIO * length
+        drift[rows, axis, axis] = expected[3] * angle
+        drift[rows, axis + 3, axis + 3] = expected[2] * length
     by_sensor = np.where(unknown, _UNKNOWN_LOG_SCALE, _INERTIAL_STEP_LOG_SCALE)
     of_mono = np.where(problem.is_inertial[rows], by_sensor, _STEP_LOG_SCALE)
     doubted = problem.is_doubted[rows]

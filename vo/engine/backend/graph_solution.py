@@ -15,20 +15,14 @@ from vo.engine.backend.chain_merging import (
     without_weak_merges,
     worlds_of,
 )
-from vo.engine.backend.chain_motion import ChainMotions
+from vo.engine.backend.chain_motion import USUAL, ChainMotions
 from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.engine.backend.graph_problem import GraphProblem
-from vo.engine.backend.loop_edges import LoopEdges, loop_edges, squared_distance
+from vo.engine.backend.loop_edges import LoopEdges, loop_edges
 from vo.engine.geometry import sim3
 from vo.engine.places.records import PlaceKey, RegisteredKeyframes
 
 _log = logging.getLogger(__name__)
-
-# Sum of the squared distances of loops from odometry, in their covariances, from which they move a
-# metric chain. Loops that were worse than odometry had 12 and 296, those that were better 833
-# (docs/experiments/loop-closure.md): covariances of loops are too small, and errors at one place
-# are alike.
-_MIN_EVIDENCE = 400.0
 
 
 def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
@@ -36,8 +30,8 @@ def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
 
     Loops must agree with odometry, or, between chains, with each other; across doubted motions they
     may contradict odometry as well. Of those that do the true ones are found by graduated
-    non-convexity, and all poses by least squares. The first keyframe of the first chain of each
-    world stays where it is.
+    non-convexity, and all poses by least squares with the usual drift of odometry. The first
+    keyframe of the first chain of each world stays where it is.
 
     Raises:
         ValueError: a loop is between keyframes that are not in the graph.
@@ -56,10 +50,12 @@ def _solved(problem: GraphProblem, loops: LoopEdges) -> RegisteredKeyframes:
     kept = _true_loops(problem, loops, motions)
     chosen = loops.select(kept)
     world = worlds_of(problem, chosen)
+    motions = ChainMotions(problem, metric_drift=USUAL)
     poses, covariance = _optimised(problem, chosen, motions, world)
     scale = np.where(problem.is_metric, problem.scale, sim3.scale_of(poses))
     rigid = sim3.rigid_part(poses)
-    alone = ~np.isin(problem.chain, _moved_chains(problem, chosen, motions))  # keep every bit
+    moved = problem.chain[np.concatenate([chosen.earlier, chosen.later])]
+    alone = ~np.isin(problem.chain, moved)  # keep every bit
     scale[alone], rigid[alone] = problem.scale[alone], problem.odom_from_cam[alone]
     in_world = covariance[:, :6, :6]
     in_world[:, 3:] *= scale[:, None, None]
@@ -72,31 +68,6 @@ def _solved(problem: GraphProblem, loops: LoopEdges) -> RegisteredKeyframes:
         in_world,
         tuple(loop for loop, is_kept in zip(problem.loops, kept, strict=True) if not is_kept),
         _wrong_motions(problem, chosen),
-    )
-
-
-def _moved_chains(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Ints:
-    """Numbers of the chains that loops move.
-
-    A metric chain stays as it is where all its loops lie within it, are by the look of places, and
-    are too weak an evidence against odometry, which is then the better of the two.
-    """
-    from_odometry = motions.motion(loops.earlier, loops.later)
-    error = sim3.local(sim3.inverse(loops.relation) @ from_odometry)
-    distance = squared_distance(error, loops.covariance)
-    earlier, later = problem.chain[loops.earlier], problem.chain[loops.later]
-    is_metric = (problem.is_metric & ~problem.is_inertial)[loops.later]
-    may_stay = is_metric & (earlier == later) & (loops.marker < 0)
-    may_stay &= ~np.isin(later, problem.chain[problem.is_doubted])
-    chains = np.unique(np.concatenate([earlier, later]))
-    return np.array(
-        [
-            chain
-            for chain in chains
-            if not may_stay[(earlier == chain) | (later == chain)].all()
-            or distance[later == chain].sum() > _MIN_EVIDENCE
-        ],
-        dtype=np.int64,
     )
 
 

@@ -47,6 +47,8 @@ _SUCCESSION, _MIN_SUPPORT = 3, 15  # keyframes that must agree, and inliers of e
 # pairs, 19 in 20 have 0.005 or less in rendered rooms and streets, and 0.04 in a real drive.
 _MAX_DIFFERENT, _MIN_WINDOWS = 0.04, 30
 _COVARIANCE_SCALE = 14.0  # as in windows, see docs/accuracy.md
+# Errors that more landmarks do not make smaller: radians, and of the distance of the landmarks.
+_SYSTEMATIC = 5e-4
 
 
 class RejectionReason(Enum):
@@ -132,7 +134,7 @@ class LoopVerifier:
             later[0].key,
             sim3.rigid_part(relation.earlier_from_later),
             float(sim3.scale_of(relation.earlier_from_later)) if pair.with_scale else 1.0,
-            _covariance(pair, relation),
+            _covariance(pair, relation) + _systematic(inliers.pairs),
             len(inliers.later),
         )
 
@@ -260,6 +262,12 @@ def _distance_apart(relation: Floats, pairs: LandmarkPairs) -> float:
     from_later = float(np.median(np.linalg.norm(pairs.later, axis=1)))
     nearer = min(from_earlier, from_later * float(sim3.scale_of(relation)))
     return float(np.linalg.norm(relation[:3, 3])) / nearer
+
+
+def _systematic(pairs: LandmarkPairs) -> Floats:
+    """(7, 7) covariance of errors that landmarks have in common."""
+    distance = float(np.median(np.linalg.norm(pairs.later, axis=1)))
+    return np.diag(_SYSTEMATIC * np.r_[np.ones(3), np.full(3, distance), 0.0]) ** 2
 
 
 def _covariance(pair: KeyframePair, relation: Relation) -> Floats:

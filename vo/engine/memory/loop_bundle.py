@@ -28,6 +28,7 @@ from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 # keyframes, some ten seconds for so many.
 _MAX_KEYFRAMES = 400
 _MAX_STORED = 20_000  # keyframes, some 10 kB each, beyond which no world is small enough
+_MAX_MORE_SCALE, _MIN_SCALE_ERROR = 1.5, 0.001  # of scales at loops, relative to the graph
 
 
 class _Observations(NamedTuple):
@@ -81,8 +82,9 @@ class LoopBundle:
     ) -> RegisteredKeyframes | None:
         """The keyframes of a world after the adjustment; None where it cannot be done.
 
-        The first one stays where it is, and the path keeps its length. Covariances stay as
-        they are.
+        It is refused where it contradicts the scales that loops have measured, which it does not
+        use, more than the pose graph does. The first one stays where it is, and the path keeps its
+        length. Covariances stay as they are.
 
         Args:
             registered: all keyframes of the world that were stored, in order.
@@ -92,11 +94,8 @@ class LoopBundle:
         row = {key: n for n, key in enumerate(registered.keys)}
         ends = [(row.get(loop.earlier), row.get(loop.later), loop) for loop in loops]
         scale = registered.scale
-        motions = [
-            _motion(loop, earlier, later, scale[earlier], scale[later])
-            for earlier, later, loop in ends
-            if earlier is not None and later is not None
-        ]
+        inside = [(a, b, loop) for a, b, loop in ends if a is not None and b is not None]
+        motions = [_motion(loop, a, b, scale[a], scale[b]) for a, b, loop in inside]
         if stored is None or not motions:
             return None
         problem = self._problem(stored, registered.world_from_cam, scale)
@@ -110,6 +109,9 @@ class LoopBundle:
         before = np.concatenate([s * each.xyz[:, 2] for s, each in zip(scale, stored, strict=True)])
         world_from_cam[:, :3, 3] = first + unit * (world_from_cam[:, :3, 3] - first)
         scale = scale * unit * _depth_ratios(problem, found, before)
+        allowed = max(_MAX_MORE_SCALE * _scale_error(registered.scale, inside), _MIN_SCALE_ERROR)
+        if _scale_error(scale, inside) > allowed:
+            return None
         return replace(registered, world_from_cam=world_from_cam, scale=scale)
 
     def _observations(self, keys: Sequence[PlaceKey]) -> list[_Observations] | None:
@@ -156,6 +158,12 @@ def _motion(
     motion[:3, 3] *= earlier_scale
     unit = np.r_[np.ones(3), np.full(3, later_scale)]
     return earlier, later, motion, unit[:, None] * loop.covariance[:6, :6] * unit
+
+
+def _scale_error(scale: Floats, loops: Sequence[tuple[int, int, Loop]]) -> float:
+    """Root mean square difference from the logarithms of the scales that loops have measured."""
+    errors = [np.log(scale[b] / scale[a] / loop.scale) for a, b, loop in loops]
+    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def _length(world_from_cam: Floats) -> float:

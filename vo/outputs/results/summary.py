@@ -11,7 +11,7 @@ import numpy as np
 
 from vo.base.failures import Failure
 from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
-from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
+from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation, are_doubtful
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, WorldFrame, has_all_scales
 from vo.base.records.posed_frames import PosedFrames
@@ -170,7 +170,7 @@ class Summary:
                 self.tracked + self.interpolated,
                 len(self.segments),
                 self.median_inliers,
-                any(loop.joins for loop in self.loops)
+                are_doubtful(self.loops)
                 or not all(record.is_handled for record in self.faults)
                 or any(each.is_doubt for each in self.facts.opening_warnings),
                 self.disparity_offset_px,
