@@ -32,8 +32,16 @@ def test_a_path_may_not_become_worse_without_a_word(complete: Run, without: Run,
     assert harm.judge(complete, without) == word
 
 
+@pytest.mark.parametrize(("error", "word"), [(2.9, ""), (-3.1, "**harm**")])
+def test_a_scale_may_not_be_wrong_by_more_than_it_says(error: float, word: str) -> None:
+    scaled = Run(0.020, True, (), scale=(error, 1.0))
+    assert harm.judge(scaled, Run(0.020, True, ())) == word
+
+
 @pytest.mark.parametrize("name", ["kitti06_stereo_000-050", "rendered_hall_stereo"])
 def test_no_addition_harms_the_start_of_a_recording(shared_data: Path, name: str) -> None:
-    rows = harm.rows(shared_data / name, end=40)
-    assert len(rows) == 10
+    rows = list(harm.rows(shared_data / name, end=40))
+    for addition in harm.ADDITIONS:
+        assert sum(addition.name in row for row in rows) == len(addition.modes), addition.name
+    assert any("positions" in row for row in rows)
     assert not [row for row in rows if "**harm**" in row]
