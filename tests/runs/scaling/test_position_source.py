@@ -243,6 +243,7 @@ def test_clean_positions_are_accepted(noise_m: float, rate_hz: float) -> None:
         ("smooths 1", "a receiver that smooths over about"),
         ("smooths 2", "a receiver that smooths over about"),
         ("smooths 3", "a receiver that smooths over about"),
+        ("smooths 6", "a receiver that smooths over about"),
         ("mirrored", "two columns are exchanged, or an axis has the wrong sign"),
         ("stretched", "another shape than the path, 1.5 times as long in one direction"),
     ],

@@ -25,7 +25,8 @@ _IN_SPACE = (2.0, 20.0)
 _IN_TIME = (1.3, 6.0)
 _POSSIBLE = (1.4, 10.0)  # exchanged columns can't be excluded
 _SAME = 1.4
-_SMOOTHED_S = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+_SMOOTHED_S = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
+_LATE_S, _LATE = 1.0, 1.6  # the fault need not fit better than clocks that differ by so much
 _STRETCHED = (1.25, 1.5, 2.0)
 _PATH_ERROR = 0.002  # of the path, relative to its extent: smaller differences say nothing
 _REFUSED = 25.0 / 3.0  # square of a refused residual along one axis, in variances
@@ -81,6 +82,8 @@ def explain(
         if isinstance(found, str) or not _is_comparable(found, plain):
             continue
         ratio = _ratio(plain[0], found[0])
+        if tried.limit == _IN_TIME and abs(plain[1]) > _LATE_S and abs(found[1]) <= _MAX_OFFSET_S:
+            ratio *= _LATE
         if tried.cause == EXCHANGED:  # heights alone must not decide it
             other = _fit_flat(tried.positions, stamps_ns, sensor)
             ratio = min(ratio, _ratio(flat, other) if flat and other else 0.0)
