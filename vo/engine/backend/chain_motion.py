@@ -12,19 +12,12 @@ from vo.engine.geometry import sim3
 
 
 class Drift(NamedTuple):
-    """Standard deviations of errors of odometry that the windows' covariances do not contain.
+    """Standard deviations of errors of odometry that the windows' covariances do not contain."""
 
-    Attributes:
-        step_ratio: random, ratio of the length of each step.
-        step_rad: random, of each step.
-        ratio: systematic, the same in all steps, of their lengths.
-        rotation_ratio: systematic, of their rotations.
-    """
-
-    step_ratio: float
-    step_rad: float
-    ratio: float
-    rotation_ratio: float
+    step_ratio: float  # random, of the length of each step
+    step_rad: float  # random, of each step
+    ratio: float  # systematic, the same in all steps, of their lengths
+    rotation_ratio: float  # systematic, of their rotations
 
 
 LARGEST = Drift(0.002, 1e-4, 0.01, 0.005)  # that a true loop may contradict; in mono, the usual one
@@ -48,10 +41,6 @@ class ChainMotions:
 
     Attributes:
         odom_from_cam: (n, 4, 4) similarities of all rows of the graph.
-
-    Args:
-        problem: the graph.
-        metric_drift: of its metric chains.
     """
 
     def __init__(self, problem: GraphProblem, metric_drift: Drift = LARGEST) -> None:
