@@ -35,7 +35,7 @@ def _one_segment(stamps_ns: Ints = _FRAMES) -> Ints:
     return np.zeros(len(stamps_ns), np.int64)
 
 
-@pytest.mark.parametrize("offset_s", [-0.05, -0.013, 0.0, 0.004, 0.05])
+@pytest.mark.parametrize("offset_s", [-0.35, -0.05, -0.013, 0.0, 0.004, 0.05, 0.2])
 def test_offsets_are_found_within_a_millisecond(offset_s: float) -> None:
     source = _late(sensor(noise=1.0), offset_s)
     found = measure_time_offset(_FRAMES, _one_segment(), _rotations(), SampleReader(source))

@@ -12,12 +12,11 @@ from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gy
 from vo.engine.geometry.so3 import log_rows
 from vo.engine.inertial.samples import SampleReader
 
-MAX_CHANGE_S = 0.1
-"""Largest difference from the given offset that is searched."""
-
+# Largest difference from the given offset, margin of the samples, and largest ratio of what is left
+# of the rotations: farther away only what fits well (0.05 where it is right) is believed.
+_SEARCHES = ((0.1, 200_000_000, 1.0), (0.5, 700_000_000, 0.2))
 _MAX_INTERVAL_S = 0.2  # between two frames
 _MAX_INTERVALS = 3000  # of a long run, every so many are left out
-_MARGIN_NS = 200_000_000
 _MAX_TURN_RAD = np.radians(10.0)  # between the fitted rotation of the sensor and the given one
 _MIN_CHANGE_S, _MIN_CHANGE_SIGMA = 0.001, 5.0
 _MIN_DRIFT_S = 0.003  # between the halves of a run
@@ -125,12 +124,16 @@ def measure_time_offset(
     relative = np.swapaxes(rotations[first], 1, 2) @ rotations[first + 1]
     given_ns = round(1e9 * reader.time_offset_s)
     begin, end = stamps_ns[first] + given_ns, stamps_ns[first + 1] + given_ns
-    samples = reader.sensor.read(int(begin[0]) - _MARGIN_NS, int(end[-1]) + _MARGIN_NS)
     turned = Rotations(begin, end, log_rows(relative))
-    found = align_gyro(turned, samples.stamps_ns, samples.gyro, MAX_CHANGE_S)
-    if found is None or not _fits(found, cam0_from_imu[:3, :3]):
-        return None
-    return TimeOffset(reader.time_offset_s + found.time_offset_s, found.time_offset_sd_s)
+    for reach_s, margin_ns, most in _SEARCHES:
+        samples = reader.sensor.read(int(begin[0]) - margin_ns, int(end[-1]) + margin_ns)
+        found = align_gyro(turned, samples.stamps_ns, samples.gyro, reach_s)
+        if found is None or found.residual_rad_s > most * found.signal_rad_s:
+            continue
+        if _fits(found, cam0_from_imu[:3, :3]):
+            seconds = reader.time_offset_s + found.time_offset_s
+            return TimeOffset(seconds, found.time_offset_sd_s)
+    return None
 
 
 def _fits(found: GyroAlignment, cam_from_imu: Floats) -> bool:
