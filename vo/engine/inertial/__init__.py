@@ -1,1 +1,1 @@
-"""Inertial measurements beside the cameras: samples, preintegration, metric scale and gravity."""
+"""Samples of an inertial sensor (they enter in `samples`), preintegration, scale and gravity."""

@@ -1,1 +1,1 @@
-"""Memory of a run: from keyframes that are removed from the local map to one map of all places."""
+"""Closed loops: keyframes that leave the local map, places seen again, pose graph, map files."""
