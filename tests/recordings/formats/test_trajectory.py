@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vo.base.errors import OutputError, SourceError
-from vo.base.geometry.transforms import se3_exp
+from vo.base.geometry.transforms import quat_xyzw_from_rotation, se3_exp
 from vo.base.types import Trajectory
 from vo.recordings.formats.stamp_units import stamp_ns_from_seconds
 from vo.recordings.formats.trajectory import (
@@ -256,3 +256,16 @@ def test_columns_by_the_names_in_the_heading(
     ]
     np.testing.assert_allclose(found.positions, [[1 + i, 2, 3] for i in range(3)])
     np.testing.assert_allclose(found.world_from_cam[0, 1:3, 2], [-0.96, 0.28], atol=1e-12)
+
+
+def test_tum_with_commas_and_whole_matrices(tmp_path: Path) -> None:
+    """As pandas writes them, without a heading."""
+    true = se3_exp(np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0]))
+    quat = quat_xyzw_from_rotation(true[:3, :3])
+    row = ",".join(f"{value:.12f}" for value in (1600000000.0, *true[:3, 3], *quat))
+    (tmp_path / "a.csv").write_text(f"{row}\n")
+    matrix = " ".join(f"{value:.12f}" for value in true.ravel())
+    (tmp_path / "a.txt").write_text(f"{matrix}\n")
+    for name in ("a.csv", "a.txt"):
+        found = read_trajectory(tmp_path / name)
+        np.testing.assert_allclose(found.world_from_cam[0], true, atol=1e-9)

@@ -12,6 +12,7 @@ from vo.base.errors import EvaluationError
 from vo.base.types import Floats, Ints, Mode, Trajectory
 from vo.outputs.evaluation.alignment import Alignment, AlignMethod, align_poses
 from vo.outputs.evaluation.association import MatchedPoses, associate, coverage
+from vo.outputs.evaluation.conventions import convention_notes
 from vo.outputs.evaluation.pose_errors import (
     PoseErrors,
     SegmentDrift,
@@ -26,6 +27,8 @@ from vo.outputs.evaluation.pose_errors import (
 )
 
 _UNCERTAIN_ROLL_RAD = 0.1
+_UNITS = (1000.0, 100.0, 0.01, 0.001)
+_UNIT_ERROR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +186,13 @@ def _notes(
             "the path is nearly straight, so the alignment's roll about it depends on position "
             "errors: judge rotation by 'rotation alone' and RPE, not by ATE"
         )
-    return tuple(notes)
+    scale = alignment.best_scale
+    unit = next((f for f in _UNITS if scale is not None and abs(scale / f - 1.0) < _UNIT_ERROR), 0)
+    if alignment.kind == "se3" and unit:
+        notes.append(
+            f"lengths of the reference are {unit:g} times those of the estimate: other units?"
+        )
+    return (*notes, *convention_notes(matched))
 
 
 def _is_roll_uncertain(reference: Floats, ate: PoseErrors) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from vo.recordings.formats.headings import (
 
 _log = logging.getLogger(__name__)
 _MAX_VALUE = 1e12
+_TUM_ORDER = (0, 1, 2, 3, 7, 4, 5, 6)  # in that of EuRoC
 
 
 class Line(NamedTuple):
@@ -74,13 +76,26 @@ def read_poses_table(path: Path) -> list[Line]:
     stamp, position = stamp_column(names), axis_columns(names, POSITION)
     quaternion = axis_columns(names, QUATERNION, "wxyz" if lines[0].has_commas else "xyzw")
     if stamp is None or position is None or quaternion is None:
-        return lines
+        return _as_euroc(path, lines) if _is_tum_with_commas(lines[0]) else lines
     order = [column.number for column in (stamp, *position, *quaternion)]
     if order == list(range(len(order))):
         return lines
     _log.warning("%s: columns are taken by the names in its heading, not by their order", path)
     check_columns(lines, max(order) + 1, exactly=False)
     return [line._replace(fields=[line.fields[number] for number in order]) for line in lines]
+
+
+def _is_tum_with_commas(line: Line) -> bool:
+    """Whether eight columns begin with seconds, which EuRoC, with its other order, has not."""
+    stamp = line.fields[0]
+    is_seconds = re.fullmatch(r"\d{1,10}\.\d+", stamp) is not None
+    return line.has_commas and len(line.fields) == len(_TUM_ORDER) and is_seconds
+
+
+def _as_euroc(path: Path, lines: list[Line]) -> list[Line]:
+    _log.warning("%s: read as TUM with commas, stamp x y z qx qy qz qw", path)
+    check_columns(lines, len(_TUM_ORDER), exactly=True)
+    return [line._replace(fields=[line.fields[number] for number in _TUM_ORDER]) for line in lines]
 
 
 def _data_lines(path: Path, text: str) -> list[Line]:

@@ -74,7 +74,7 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
         return "euroc"
     if columns == _TUM_COLUMNS:
         return "tum"
-    if columns == _KITTI_COLUMNS:
+    if columns == _KITTI_COLUMNS or (columns == 16 and _is_last_row(first.fields[12:])):
         return "kitti"
     if columns == _TARTANAIR_COLUMNS and not first.has_commas:
         return "tartanair"
@@ -83,6 +83,14 @@ def detect_format(path: Path | str) -> TrajectoryFormat:
         "qy qz qw), KITTI 12 (a 3x4 matrix), TartanAir 7 (tx ty tz qx qy qz qw), EuRoC 8 or more "
         "with commas and stamps in nanoseconds"
     )
+
+
+def _is_last_row(fields: Sequence[str]) -> bool:
+    """Whether numbers are the last row of a 4x4 matrix."""
+    try:
+        return [float(field) for field in fields] == [0.0, 0.0, 0.0, 1.0]
+    except ValueError:
+        return False
 
 
 def read_tum(path: Path | str) -> Trajectory:
@@ -121,13 +129,15 @@ def read_four_seasons(path: Path | str) -> Trajectory:
 
 
 def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
-    """Read lines of twelve numbers, each a 3x4 world_from_cam0 in row-major order.
+    """Read lines of twelve numbers, each a 3x4 world_from_cam0 in row-major order; or of sixteen.
 
     Rotations are not re-orthonormalised; KITTI gives seven digits.
 
     `stamps_ns`: (N,) stamps of the poses; by default pose i gets i seconds.
     """
-    lines, values = _read_numbers(path, _KITTI_COLUMNS)
+    columns = len(read_table(Path(path))[0].fields)
+    lines, values = _read_numbers(path, max(columns, _KITTI_COLUMNS))
+    values = values[:, :_KITTI_COLUMNS]
     stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
     poses[:, :3, :] = values.reshape(-1, 3, 4)
