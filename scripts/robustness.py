@@ -94,7 +94,7 @@ class _Bench:
             kept = self._keep / _file_name(case.name) if self._keep else Path(folder) / "case"
             recording = case.write(faulty, kept / "recording")
             outcome = run(self._vo, recording, faulty.truth_of_frames, kept / "out")
-        limit = max_ate_m(clean, faulty.truth)
+        limit = max_ate_m(clean, faulty.truth, case.floor_ratio)
         names = (case.situation, case.variant, case.clip)
         return Row(*names, outcome, clean, limit, case.is_visible)
 

@@ -110,9 +110,9 @@ def path_m(truth: Floats) -> float:
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
 
-def max_ate_m(clean: Outcome, truth: Floats) -> float:
+def max_ate_m(clean: Outcome, truth: Floats, floor_ratio: float = FLOOR_RATIO) -> float:
     """Largest ATE of a path that counts as right."""
-    floor = FLOOR_RATIO * path_m(truth) + FLOOR_M
+    floor = floor_ratio * path_m(truth) + FLOOR_M
     return max(MAX_ATE_RATIO * (clean.ate_m or 0.0), floor)
 
 
