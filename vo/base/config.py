@@ -192,12 +192,12 @@ class SmoothingConfig(Section):
     relative_error_tolerance: float = expert(
         1e-3, gt=0, description="relative decrease of the cost below which iterations stop"
     )
-    huber: float = expert(1.0, gt=0, description="Huber threshold, standard deviations")
+    huber: float = expert(0.3, gt=0, description="Huber threshold, standard deviations")
     gate: float = expert(
         4.0, gt=0, description="residual from which an observation is removed, standard deviations"
     )
     covariance_scale: float = expert(
-        14.0, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
+        2.5, gt=0, description="factor on covariances, measured; see docs/accuracy.md"
     )
 
     def size(self, *, is_metric: bool) -> WindowSize:

@@ -136,7 +136,7 @@ def test_a_keyframe_that_has_turned_away_gets_its_share_of_few_landmarks() -> No
     moved = _adjust(scene, _config(60))
     assert before > 0.05
     assert scene.map.keyframes[-1] in moved
-    assert scene.error(KEYFRAMES - 1) < 0.01
+    assert scene.error(KEYFRAMES - 1) < 0.02
     assert scene.map.keyframes[-1].covariance is not None
 
 

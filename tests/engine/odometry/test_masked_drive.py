@@ -56,4 +56,5 @@ def test_the_path_of_a_real_drive(
     covered = burnt_in_text(0.12)(own_body(0.2, is_textured)(clean))
     files = _masks(clean, covered, tmp_path)
     config, masked = (load_config("default", [f"masks.files={each}"]) for each in ([], files))
-    assert _ate(covered, masked) <= 1.1 * _ate(clean, config)
+    # Starts of this drive differ by 1 cm, in stereo from 8 to 25 mm.
+    assert _ate(covered, masked) <= 1.1 * _ate(clean, config) + 0.005

@@ -24,6 +24,10 @@ from vo.engine.geometry.points import PointViews, best_points, point_views
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
 
+# Standard deviations from which an observation weighs less where errors of the lens are estimated:
+# these are largest at the edges of images, where the window's threshold would hide them.
+_LENS_HUBER = 1.0
+
 
 class NormalEquations(NamedTuple):
     """hessian (6 F, 6 F) @ step = -gradient (6 F,), F free poses; cost: half the robust sum."""
@@ -69,8 +73,9 @@ class Bundle:
         at = self._at(world_from_cam)
         self._points = at.points
         poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
+        views = self._views._replace(huber=_LENS_HUBER) if with_calibration else self._views
         hessian, gradient = block_kernels.reduced(
-            at.points, poses, self._slot, with_calibration, self._views
+            at.points, poses, self._slot, with_calibration, views
         )
         size = 6 * (self._slot.max() + 1)
         if with_calibration:

@@ -19,7 +19,7 @@ import numpy as np
 
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
-from vo.engine.backend.residuals import residuals
+from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
@@ -53,7 +53,8 @@ def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWi
     gauge = gauge_of(problem)
     if gauge.held.all() or not point_ok[problem.point].any():
         return None
-    bundle = Bundle(replace(problem, fixed=gauge.held), point_ok, config)
+    weighted = replace(with_measured_noise(problem), fixed=gauge.held)
+    bundle = Bundle(weighted, point_ok, config)
     graph = _Graph(problem, gauge, bundle)
     values = graph.optimise(config)
     world_from_cam = graph.poses(values)

@@ -62,9 +62,8 @@ class Node:
 class KeyframeStates:
     """Keyframes with their states.
 
-    Attributes:
-        world: number of the first segment of the world.
-        origin: id of the first keyframe of the world; another one is another frame.
+    `world` is the number of its first segment; `origin` the id of its first keyframe, another one
+    is another frame.
     """
 
     nodes: tuple[Node, ...]
@@ -80,6 +79,7 @@ class InertialChain:
         reason: why there is no estimate, None where there is one.
         initialised_frame: number of the frame at which first states were found, None before.
         agreement: of finished worlds, the first one that contradicts.
+        finished: the worlds before the newest one.
     """
 
     def __init__(
@@ -88,6 +88,7 @@ class InertialChain:
         self.reason: NotYet | None = NotYet.FEW_KEYFRAMES
         self.initialised_frame: int | None = None
         self.agreement = Agreement()
+        self.finished: list[KeyframeStates] = []
         self._reader, self._noise = reader, noise
         self._imu_from_cam, self._is_metric = imu_from_cam, is_metric
         self._nodes: list[Node] = []
@@ -138,14 +139,14 @@ class InertialChain:
         kept = sum(node.frame_index < frame_index for node in self._nodes)
         del self._nodes[kept:], self._intervals[kept:], self._measured[kept:]
         self._estimate = self._prior = self._tried_ns = self._biases = None
-        self._origin = self._begin = 0
+        self._origin, self._begin, self.finished = 0, 0, []
 
     def restart(self) -> None:
         """Search first states anew, with the samples by the newest time offset."""
         self.read_again()
         self.agreement = Agreement()
         self._estimate = self._prior = self.initialised_frame = self._biases = None
-        self._origin = self._begin = 0
+        self._origin, self._begin, self.finished = 0, 0, []
 
     def read_again(self) -> None:
         """Take all samples by the newest time offset; what follows has to be `finish`."""
@@ -273,7 +274,7 @@ class InertialChain:
                     self._nodes[self._begin + estimate.states.number - 1].stamp_ns
                 )
                 self._estimate = estimate
-                self._judged(is_last=False)
+                self.finished += filter(None, [self._judged(is_last=False)])
                 self._estimate = self._prior = None
                 self.reason = NotYet.FEW_KEYFRAMES
                 return

@@ -36,6 +36,7 @@ _FIXED_M, _FIXED_RAD = 1e-5, 1e-5
 _FIXED_LOG_SCALE = 1e-5
 # Errors of the visual odometry beside the windows' covariances: of each step, and of a length.
 _STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.001, 1e-4, 0.0015
+_METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
 _HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
 _CONVERGED = 0.01  # largest step, in standard deviations
@@ -291,7 +292,10 @@ def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:
     covariance = covariance.copy()
     length = np.linalg.norm(steps.visual[:, :3, 3], axis=1)
     shortest = 1e-6 * max(float(length.max(initial=0.0)), 1e-6)
+    ratio, angle = _STEP_RATIO, _STEP_RAD
+    if steps.is_metric:
+        ratio, angle = _METRIC_STEP_RATIO, _METRIC_STEP_RAD
     for axis in range(3):
-        covariance[:, axis, axis] += _STEP_RAD**2
-        covariance[:, axis + 3, axis + 3] += (_STEP_RATIO * length) ** 2 + shortest**2
+        covariance[:, axis, axis] += angle**2
+        covariance[:, axis + 3, axis + 3] += (ratio * length) ** 2 + shortest**2
     return covariance

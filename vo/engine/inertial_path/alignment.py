@@ -42,8 +42,7 @@ class InertialAlignment:
     """Estimates inertial states of the keyframes, and places those of a single camera by them.
 
     It is called at fixed frames, so that results do not depend on the speed of anything. Metric
-    paths (stereo, depth) keep their world; only its direction of gravity and the biases are
-    estimated.
+    paths (stereo, depth) keep their world, and are estimated by both together at the end only.
 
     Attributes:
         stopwatch: measures the stage `inertial`.
@@ -92,6 +91,7 @@ class InertialAlignment:
         # Of later segments of a metric path: the first segment of their world, and the transform
         # from their odometry frame to its own.
         self._joints: dict[int, tuple[int, Floats]] = {}
+        self._fused: dict[int, InertialPose] = {}  # keyframes of a metric path, by id, at the end
 
     @property
     def use(self) -> InertialUse:
@@ -160,6 +160,9 @@ class InertialAlignment:
         if solved is not None:  # in another frame, which the pose graph does not know
             self.map_poses.begin_frame_of(solved.world)
         self._place(solved, keeps_earlier=False)
+        if solved is not None and self._is_metric and self.contradiction is None:
+            for each in (*self._chain.finished, solved):
+                self._fuse(each)
         self._gaps.remember(solved)
 
     def _found_contradiction(self) -> str | None:
@@ -182,7 +185,7 @@ class InertialAlignment:
     def fill_gaps(self) -> None:
         """Give lost frames poses, after `finish`, and after the pose graph has placed keyframes."""
         solved = self._chain.newest
-        if solved is not None and self._is_metric:
+        if solved is not None and self._is_metric and not self._fused:
             self._join(solved)
         lost = self._gaps.bridged(None if self._is_metric else self.map_poses.metric_worlds)
         self._trajectory.store.add_inertial(lost + self._turns.turned(lost))
@@ -194,7 +197,7 @@ class InertialAlignment:
         By id of the keyframe; those of one segment are in one frame.
         """
         if self._is_metric:
-            return self._joined_poses()
+            return self._fused or self._joined_poses()
         solved = self._chain.smoothed()
         if solved is None:
             return self.map_poses.give(None, {}, (0.0, 0.0))
@@ -300,6 +303,33 @@ class InertialAlignment:
                 np.ones(1),
                 self._covariance(solved, [row]),
             )
+
+    def _fuse(self, solved: KeyframeStates) -> None:
+        """Place keyframes of a metric path by images and sensor together, after the last frame.
+
+        The first one stays where it is. The sensor holds the vertical, and short turns.
+        """
+        states, nodes = solved.estimate.states, solved.nodes
+        pose = np.tile(np.eye(4), (states.number, 1, 1))
+        pose[:, :3, :3], pose[:, :3, 3] = states.rotation, states.position
+        cam0 = pose @ self._imu_from_cam0
+        rectified = self._trajectory.world_from_rectified(cam0)
+        in_first = nodes[0].world_from_cam @ inverse(rectified[0]) @ rectified
+        ids = np.array([node.keyframe for node in nodes], np.int64)
+        for keyframe, each in zip(ids.tolist(), in_first, strict=True):
+            self._fused[keyframe] = InertialPose(solved.world, each, 1.0)
+        if any(self.map_poses.is_in_graph(node.segment) for node in nodes):
+            self.map_poses.awaits_graph = True
+            return
+        store = self._trajectory.store
+        (first,) = store.keyframes_by_id([nodes[0].keyframe])
+        store.move_keyframes(
+            ids,
+            np.full(len(ids), store.world(nodes[0].segment)),
+            first.world_from_cam0 @ inverse(cam0[0]) @ cam0,
+            np.ones(len(ids)),
+            self._covariance(solved, list(range(len(ids)))),
+        )
 
     def _joined_poses(self) -> Mapping[int, InertialPose]:
         """Poses of the keyframes of segments that were joined, in the frame of their first one."""
