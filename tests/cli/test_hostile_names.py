@@ -20,7 +20,7 @@ from vo.base.types import Camera
 from vo.cli.app import app
 from vo.engine.maps.map_file import MapHeader, write_map
 from vo.engine.places.encoding import encode_place
-from vo.engine.places.records import PlacedKeyframes
+from vo.engine.places.records import RegisteredKeyframes
 
 NAMES = ["../../escaped", "/{root}/escaped", "..", "-o", "a\nb\x1b[2J", "a/../../../escaped", "~/x"]
 KEPT = "not to be touched"
@@ -78,7 +78,7 @@ def _session(root: Path, name: str) -> None:
     place = make_place(0, random_descriptors(np.random.default_rng(0), 40))
     rows = np.zeros(1, np.int64), np.eye(4)[None], np.ones(1), np.zeros((1, 6, 6))
     header = MapHeader(Camera(320, 240, 200.0, 201.0, 160.5, 120.5), "00e2", (name,))
-    placed = PlacedKeyframes((place.key,), *rows, rejected=())
+    placed = RegisteredKeyframes((place.key,), *rows, rejected=())
     write_map(root / "a.vomap", header, [(place.key, encode_place(place))], placed, [], [])
     vo("map", "info", root / "a.vomap")
     vo("map", "export", root / "a.vomap", "-o", root / "a.ply")
