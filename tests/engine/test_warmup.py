@@ -124,7 +124,7 @@ def test_warmup_compiles_what_recordings_with_loops_need(
 ) -> None:
     compiled = {name.split("-")[0] for name in files_in(first_warmup[0])}
     for name in (
-        "verification.relation._best_of",
+        "loop_verification.relation._best_of",
         "places.covisibility._mark_shared",
         "places.inverted_index._score",
         "frontend.hamming_kernels.best_in_groups",

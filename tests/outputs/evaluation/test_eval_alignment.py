@@ -22,7 +22,7 @@ def moved(poses: Floats, scale: float = 1.0, *, seed: int = 3) -> Floats:
 
 @pytest.mark.parametrize(
     ("mode", "kind", "words"),
-    [("mono", "sim3", "mono"), ("stereo", "se3", "stereo"), ("auto", "se3", "unknown")],
+    [("mono", "sim3", "mono"), ("stereo", "se3", "stereo"), ("auto", "se3", "metric")],
 )
 def test_auto_follows_the_mode_and_gives_the_reason(mode: Mode, kind: str, words: str) -> None:
     chosen, reason = choose_alignment("auto", mode)

@@ -95,7 +95,7 @@ def test_each_image_is_decoded_once(folder: Path, monkeypatch: pytest.MonkeyPatc
 def test_a_run_gives_the_poses_of_the_pairs(
     folder: Path, synthetic_stereo: Path, tmp_path: Path
 ) -> None:
-    fast = load_config("fast")
+    fast = load_config("fast", ["inertial.enabled=false"])  # the copy has no sensor
     run(synthetic_stereo, tmp_path / "pairs", config=fast, end=COUNT)
     run(folder, tmp_path / "both", config=fast, side_by_side=True)
     poses = [(tmp_path / name / "poses.csv").read_bytes() for name in ("pairs", "both")]
