@@ -30,7 +30,7 @@ _MIN_WINDOWS, _MAX_DIFFERENT, _MIN_IMPROVEMENT = 30, 0.3, 2.0
 def unconfirmed_repairs(
     database: KeyframeDatabase, camera: Camera, registered: RegisteredKeyframes
 ) -> tuple[PlaceKey, ...]:
-    """Those of the keyframes `placed.wrong` whose new motion the images do not confirm.
+    """Those of the keyframes `registered.wrong` whose new motion the images do not confirm.
 
     Where images confirm odometry, only these are returned: a motion that is free without need takes
     a part of the correction of others.

@@ -94,7 +94,7 @@ class Recogniser:
         return self._start(lambda: self._result(places[0], partial(self._find, places)))
 
     def unconfirmed(self, registered: RegisteredKeyframes) -> tuple[PlaceKey, ...]:
-        """Those of the keyframes `placed.wrong` whose new motion the images do not confirm."""
+        """Those of the keyframes `registered.wrong` whose new motion the images do not confirm."""
         from vo.engine.loop_verification.repair_check import unconfirmed_repairs
 
         return self._start(

@@ -126,7 +126,7 @@ class TrajectoryBuilder:
         return np.asarray(self._rectified_from_cam0 @ world_from_cam0 @ self.cam0_from_rectified)
 
     def registered(self, world: int, session: int) -> RegisteredKeyframes:
-        """The keyframes of a world of the run, as for `place`."""
+        """The keyframes of a world of the run, as for `move_keyframes`."""
         ids, world_from_cam0, scale, covariance = self.store.registered(world)
         to_rectified = adjoint(self._rectified_from_cam0)
         return RegisteredKeyframes(

@@ -34,8 +34,8 @@ class TrajectoryStore:
 
     Any keyframe, old ones too, can get a new pose at any time; the frames relative to it follow.
     Poses are stored in the odometry frame of their segment; once the pose graph has placed
-    keyframes (`place`), those come out in the map frame, and the others follow the last placed one
-    before them.
+    keyframes (`move_keyframes`), those come out in the map frame, and the others follow the last
+    placed one before them.
 
     Attributes:
         interpolated: frames to be interpolated, None for no interpolation.
@@ -170,7 +170,7 @@ class TrajectoryStore:
         self._changed = min(self._changed, self._first_after_tracked(frame))
 
     def registered(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
-        """Keyframes of a world: their ids, poses, scales and covariances, as for `place`."""
+        """Ids, poses, scales and covariances of a world's keyframes, as for `move_keyframes`."""
         table = self._keyframes.rows
         segments = [n for n in np.unique(table["segment"]).tolist() if self.world(n) == world]
         rows = table[np.isin(table["segment"], segments)]
@@ -325,12 +325,12 @@ class TrajectoryStore:
     def trajectory_with(
         self, keyframes: Ints, worlds: Ints, map_from_cam0: Floats, scale: Floats
     ) -> Trajectory:
-        """The path as it would be with keyframes placed otherwise; arguments as for `place`.
+        """The path with keyframes placed otherwise; arguments as for `move_keyframes`.
 
         Segments without any are in their odometry frames. The store does not change.
         """
         other = TrajectoryStore()
-        other._frames.replace(self.frames)  # which `place` reads only
+        other._frames.replace(self.frames)  # which `move_keyframes` reads only
         table = self._keyframes.rows.copy()
         table["world_from_cam0"], table["scale"] = table["odom_from_cam0"], 1.0
         other._keyframes.replace(table)
