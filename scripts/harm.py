@@ -48,7 +48,7 @@ _MARKER_M = 0.16
 class Call(NamedTuple):
     """A method that does the work of an addition, and what it returns where it does nothing.
 
-    `acts` tells by a result whether it has done something.
+    `acts`: whether a result of the method means that it has changed something.
     """
 
     owner: type
@@ -58,7 +58,7 @@ class Call(NamedTuple):
 
 
 class Addition(NamedTuple):
-    """A setting that leaves an addition out, or methods that do nothing then."""
+    """What is switched off for comparison: by a setting, or by methods that then do nothing."""
 
     name: str
     without: tuple[str, ...] = ()

@@ -26,7 +26,7 @@ from inertial_flight import (
 
 from vo.base.geometry.transforms import inverse, se3_exp, se3_log
 from vo.base.types import Floats, ImuNoise, Ints
-from vo.engine.inertial.chain import InertialChain, Node, placed_at_origin
+from vo.engine.inertial.chain import InertialChain, Node
 from vo.engine.inertial.prediction import (
     InertialPredictor,
     known_motion,
@@ -34,6 +34,7 @@ from vo.engine.inertial.prediction import (
 )
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import States
+from vo.engine.inertial.world_alignment import placed_at_origin
 
 _RUNS, _KEYFRAMES = 20, 24  # of 0.5 s
 _RATE_HZ = 200

@@ -18,7 +18,7 @@ from vo.engine.inertial.estimation import (
     estimate_states,
     first_prior,
 )
-from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate, upright
+from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate
 from vo.engine.inertial.preintegration import Interval, Preintegrated, preintegrate
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import (
@@ -29,6 +29,7 @@ from vo.engine.inertial.states import (
     joined,
     predicted_motion,
 )
+from vo.engine.inertial.world_alignment import placed_at_origin
 
 _WINDOW_LAST_STEP = 3.0  # standard deviations
 _WINDOW = 12  # newest keyframes whose states are estimated together
@@ -62,8 +63,9 @@ class Node:
 class KeyframeStates:
     """Keyframes with their states.
 
-    `world` is the number of its first segment; `origin` the id of its first keyframe, another one
-    is another frame.
+    Attributes:
+        world: number of the first segment of the world.
+        origin: id of the first keyframe of the world; another one is another frame.
     """
 
     nodes: tuple[Node, ...]
@@ -116,7 +118,7 @@ class InertialChain:
         """The newest keyframes with their states."""
         if self._estimate is None:
             return None
-        return self._placed(self._begin, self._estimate)
+        return self._solved(self._begin, self._estimate)
 
     def set(self, node: Node) -> None:
         """Add a keyframe, or replace one by its newest pose."""
@@ -139,14 +141,16 @@ class InertialChain:
         kept = sum(node.frame_index < frame_index for node in self._nodes)
         del self._nodes[kept:], self._intervals[kept:], self._measured[kept:]
         self._estimate = self._prior = self._tried_ns = self._biases = None
-        self._origin, self._begin, self.finished = 0, 0, []
+        self._origin = self._begin = 0
+        self.finished.clear()
 
     def restart(self) -> None:
         """Search first states anew, with the samples by the newest time offset."""
         self.read_again()
         self.agreement = Agreement()
         self._estimate = self._prior = self.initialised_frame = self._biases = None
-        self._origin, self._begin, self.finished = 0, 0, []
+        self._origin = self._begin = 0
+        self.finished.clear()
 
     def read_again(self) -> None:
         """Take all samples by the newest time offset; what follows has to be `finish`."""
@@ -207,7 +211,7 @@ class InertialChain:
         states = placed_at_origin(self._whole_history(count), self._imu_from_cam)
         prior = self._first_prior(states)
         estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
-        return self._placed(self._origin, estimate)
+        return self._solved(self._origin, estimate)
 
     def _initialise(self) -> KeyframeStates | None:
         """Search first states with the newest keyframes of one segment."""
@@ -274,7 +278,9 @@ class InertialChain:
                     self._nodes[self._begin + estimate.states.number - 1].stamp_ns
                 )
                 self._estimate = estimate
-                self.finished += filter(None, [self._judged(is_last=False)])
+                finished = self._judged(is_last=False)
+                if finished is not None:
+                    self.finished.append(finished)
                 self._estimate = self._prior = None
                 self.reason = NotYet.FEW_KEYFRAMES
                 return
@@ -371,7 +377,7 @@ class InertialChain:
             self._imu_from_cam,
         )
 
-    def _placed(self, begin: int, estimate: Estimate) -> KeyframeStates:
+    def _solved(self, begin: int, estimate: Estimate) -> KeyframeStates:
         nodes = tuple(self._nodes[begin : begin + estimate.states.number])
         origin = self._nodes[self._origin]
         return KeyframeStates(nodes, estimate, origin.segment, origin.keyframe)
@@ -387,14 +393,3 @@ def certain(solved: KeyframeStates) -> list[int]:
     """Rows of the keyframes whose scale is certain enough."""
     variance = solved.estimate.covariance[:, LOG_SCALE, LOG_SCALE]
     return np.flatnonzero(np.sqrt(variance.clip(0.0)) < _MAX_SIGMA_LOG_SCALE).tolist()
-
-
-def placed_at_origin(states: States, imu_from_cam: Floats) -> States:
-    """The same states, turned about the vertical and moved: the first camera is the origin."""
-    camera = states.position[0] + states.rotation[0] @ imu_from_cam[:3, 3]
-    turn = upright(states.rotation[0] @ imu_from_cam[:3, :3], GRAVITY)
-    return states._replace(
-        rotation=turn @ states.rotation,
-        position=(states.position - camera) @ turn.T,
-        velocity=states.velocity @ turn.T,
-    )

@@ -1,4 +1,4 @@
-"""From the world of a pose graph to a metric one whose z axis points up."""
+"""Alignment of worlds: upright, in metres, or at the first camera."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from vo.base.geometry.similarity import Similarity
 from vo.base.geometry.transforms import adjoint, inverse, so3_exp
 from vo.base.types import Floats
+from vo.engine.inertial.initialisation import upright
+from vo.engine.inertial.states import GRAVITY, States
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -57,3 +59,14 @@ def alignment_covariance(world_from_cam: Floats, sigma_scale: float, sigma_tilt:
     along = cam_from_world[:, :3, 3]  # to the origin
     result[:, 3:, 3:] += sigma_scale**2 * along[:, :, None] * along[:, None, :]
     return np.asarray(result)
+
+
+def placed_at_origin(states: States, imu_from_cam: Floats) -> States:
+    """The same states, turned about the vertical and moved: the first camera is the origin."""
+    camera = states.position[0] + states.rotation[0] @ imu_from_cam[:3, 3]
+    turn = upright(states.rotation[0] @ imu_from_cam[:3, :3], GRAVITY)
+    return states._replace(
+        rotation=turn @ states.rotation,
+        position=(states.position - camera) @ turn.T,
+        velocity=states.velocity @ turn.T,
+    )

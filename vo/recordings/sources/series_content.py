@@ -23,7 +23,7 @@ _MIN_RATIO = 3.0  # of matches in a pair to those in images of other places
 
 
 def compare_series(one: Sequence[Path], other: Sequence[Path]) -> bool | None:
-    """Whether images of the same number show the same moment; None if they don't tell.
+    """Whether images of the same number show the same moment; None if neither is certain.
 
     If so, they match better than images of other moments of the recording, and what is seen moves
     less from one image of a series to the next than to the other series and back. In one camera's
