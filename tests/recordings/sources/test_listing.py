@@ -234,3 +234,31 @@ def test_names_before_stamps(tmp_path: Path, layout: str, table: str) -> None:
     text = mark.join(["filename", "timestamp"]) + "\n"
     (tmp_path / table).write_text(text + "".join(f"{b}{mark}{a}\n" for a, b in rows))
     assert open_source(tmp_path, mode="mono").stamps_ns.tolist() == layouts.STAMPS_NS
+
+
+@pytest.mark.parametrize("table", ["rgb.txt", "mav0/cam0/data.csv"])
+def test_stamps_given_in_alphabetical_order_are_refused(tmp_path: Path, table: str) -> None:
+    names = sorted(f"frame{i}.png" for i in range(60))
+    for i in range(60):
+        folder = tmp_path / "rgb" if table == "rgb.txt" else tmp_path / "mav0/cam0/data"
+        layouts.write_image(folder / f"frame{i}.png", layouts.image(i))
+    rows = [f"{i / 10:.1f} rgb/{name}" for i, name in enumerate(names)]
+    if table != "rgb.txt":
+        rows = [f"{i * 10**8},{name}" for i, name in enumerate(names)]
+    layouts.write_text(tmp_path / table, "\n".join(rows))
+    layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
+    message = r":13: frame19 is before frame2: .* go back 5 times while the stamps increase"
+    with pytest.raises(SourceError, match=message):
+        open_source(tmp_path, mode="mono")
+
+
+def test_a_counter_that_begins_again_is_no_other_order(tmp_path: Path) -> None:
+    names = [f"frame{(i + 9990) % 10000}" for i in range(60)]
+    layouts.write_text(
+        tmp_path / "rgb.txt", "\n".join(f"{i / 10:.1f} {name}.png" for i, name in enumerate(names))
+    )
+    for i, name in enumerate(names):
+        layouts.write_image(tmp_path / f"{name}.png", layouts.image(i))
+    layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
+    frames = open_source(tmp_path, mode="mono").frames()
+    assert [frame.image0[0, 0] for frame in frames] == list(range(60))

@@ -31,6 +31,7 @@ _DATE_IN_NAME = re.compile(
 )
 _SPACED_DATE = re.compile(r"^(\d{4}-\d\d-\d\d) (?=\d\d:\d\d:\d\d)", re.MULTILINE)
 _SECONDS_AND_REST = re.compile(r"(\d{10})[_-](\d+)")
+_MAX_BACK, _MAX_BACK_RATIO = 3, 0.02  # of counters in names
 _MIN_STAMP = 1_000_000_000  # smaller integers are counters, not times
 
 
@@ -124,7 +125,28 @@ def make_shots(stamps: Iterable[int], files: Iterable[Path], places: Iterable[st
     rows = zip(stamps, files, places, strict=True)
     shots = [Shot(stamp, ImageFile(file), place) for stamp, file, place in rows]
     check_increasing(shots)
+    _check_counters(shots)
     return shots
+
+
+def _check_counters(shots: Sequence[Shot]) -> None:
+    """Refuse stamps that were given to images in another order, such as 1, 10, 2, of their names.
+
+    A counter may begin again, or a few images be late.
+    """
+    stems = [Path(shot.image.name).stem for shot in shots]
+    counters = [re.findall(r"\d+", stem)[-1:] for stem in stems]
+    if len({re.sub(r"\d+", "", stem) for stem in stems}) != 1 or [] in counters:
+        return
+    numbers = [int(counter[0]) for counter in counters]
+    back = [i for i in range(1, len(numbers)) if numbers[i] < numbers[i - 1]]
+    if len(back) > max(_MAX_BACK, _MAX_BACK_RATIO * len(shots)) and max(numbers) < _MIN_STAMP:
+        before, after = stems[back[0] - 1], stems[back[0]]
+        raise SourceError(
+            f"{shots[back[0]].location}: {before} is before {after}: the numbers in the names go "
+            f"back {len(back)} times while the stamps increase, as if these had been given in "
+            "another order; give them in the order in which the images were taken"
+        )
 
 
 def check_existing(files: Sequence[Path], table: Path) -> None:
