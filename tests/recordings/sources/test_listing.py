@@ -236,6 +236,16 @@ def test_names_before_stamps(tmp_path: Path, layout: str, table: str) -> None:
     assert open_source(tmp_path, mode="mono").stamps_ns.tolist() == layouts.STAMPS_NS
 
 
+def test_times_in_names_are_no_counters(tmp_path: Path) -> None:
+    """As in TUM RGB-D: decimals go back often."""
+    names = [f"{1341841278 + i * 0.0337:.4f}" for i in range(60)]
+    for i, name in enumerate(names):
+        layouts.write_image(tmp_path / f"rgb/{name}.png", layouts.image(i))
+    layouts.write_text(tmp_path / "rgb.txt", "\n".join(f"{n} rgb/{n}.png" for n in names))
+    layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
+    assert len(open_source(tmp_path, mode="mono")) == 60
+
+
 @pytest.mark.parametrize("table", ["rgb.txt", "mav0/cam0/data.csv"])
 def test_stamps_given_in_alphabetical_order_are_refused(tmp_path: Path, table: str) -> None:
     names = sorted(f"frame{i}.png" for i in range(60))

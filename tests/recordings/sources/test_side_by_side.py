@@ -131,3 +131,22 @@ def test_what_has_no_two_halves_is_refused(
     for open_it in (open_source, open_uncalibrated):
         with pytest.raises(SourceError, match="is a log: `side_by_side` is for videos and folders"):
             open_it(tmp_path / "log.mcap", side_by_side=True)
+
+
+@pytest.mark.parametrize("where", ["beside each other", "one above the other", ""])
+def test_a_pair_that_is_read_as_one_camera_is_named(
+    tmp_path: Path, frames: list[Frame], where: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    join = {"beside each other": np.hstack, "one above the other": np.vstack}
+    for frame in frames[:3]:
+        pair = [frame.image0, frame.image1]
+        image = join[where](pair) if where else frame.image0
+        cv2.imwrite(str(tmp_path / f"{frame.index}.png"), image)
+    height, width = image.shape
+    (tmp_path / "calibration.yaml").write_text(
+        f"cam0: {{resolution: [{width}, {height}], "
+        f"intrinsics: [300, 300, {width / 2}, {height / 2}]}}\n"
+    )
+    open_source(tmp_path)
+    assert ("those of a stereo pair" in caplog.text) == bool(where)
+    assert where in caplog.text

@@ -34,6 +34,7 @@ from vo.recordings.sources.listing import Shot, median_interval_ns
 from vo.recordings.sources.orientation import warn_of_turned
 from vo.recordings.sources.pairing import constant_offset_ns, pair_by_stamp, shifted
 from vo.recordings.sources.sequence import ImageSequence, ListedImages
+from vo.recordings.sources.series_content import warn_of_halves
 
 _CALIBRATION_SUFFIXES = (".yaml", ".yml", ".xml", ".json", ".conf", ".ini", ".txt")
 _MAX_TRIED = 20
@@ -74,6 +75,8 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     first = _first_image(contents.left)
     size = _size_of(first)
     warn_of_turned(contents.name, contents.left)
+    if contents.right is None:
+        warn_of_halves(contents.name, first)
     calibration = contents.calibrate(size)
     _check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)

@@ -135,10 +135,10 @@ def _check_counters(shots: Sequence[Shot]) -> None:
     A counter may begin again, or a few images be late.
     """
     stems = [Path(shot.image.name).stem for shot in shots]
-    counters = [re.findall(r"\d+", stem)[-1:] for stem in stems]
-    if len({re.sub(r"\d+", "", stem) for stem in stems}) != 1 or [] in counters:
+    words = {re.sub(r"\d+", "#", stem) for stem in stems}
+    if len(words) != 1 or words.pop().count("#") != 1:  # several numbers are a time, or parts
         return
-    numbers = [int(counter[0]) for counter in counters]
+    numbers = [int("".join(filter(str.isdigit, stem))) for stem in stems]
     back = [i for i in range(1, len(numbers)) if numbers[i] < numbers[i - 1]]
     if len(back) > max(_MAX_BACK, _MAX_BACK_RATIO * len(shots)) and max(numbers) < _MIN_STAMP:
         before, after = stems[back[0] - 1], stems[back[0]]

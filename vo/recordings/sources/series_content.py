@@ -1,7 +1,8 @@
-"""Whether two series of images are of two cameras, by what the images show."""
+"""Images of two cameras in one folder, or in each image, by what the images show."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,8 +11,10 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.types import Floats
-from vo.recordings.sources.images import ImageFile
+from vo.recordings.formats.warning_kinds import warning_kind
+from vo.recordings.sources.images import ImageFile, Pixels
 
+_log = logging.getLogger(__name__)
 _SAMPLES = 5
 _WIDTH = 480
 _FEATURES = 500
@@ -19,6 +22,8 @@ _MAX_DISTANCE = 48  # bits
 _MIN_MATCHES = 30  # of images that show the same
 _SEAM = 0.8  # of the matches from one image to the next
 _ONE_DIRECTION = 0.9  # length of the mean of unit vectors
+_WIDE, _TALL = 1.8, 0.95  # width by height of two images in one, and the opposite
+_LEVEL_PX, _MOSTLY = 3.0, 0.6
 _MIN_RATIO = 3.0  # of matches in a pair to those in images of other places
 
 
@@ -62,9 +67,35 @@ def compare_series(one: Sequence[Path], other: Sequence[Path]) -> bool | None:
 _Features = tuple[Floats, "cv2.typing.MatLike | None"]
 
 
+def warn_of_halves(name: str, image: Pixels) -> None:
+    """Warn if both halves of an image show the same, as of a pair that is read as one camera."""
+    height, width = image.shape[:2]
+    if _TALL * height < width < _WIDE * height:
+        return  # of one camera, as usual
+    for where, (one, other) in (
+        ("beside each other", np.array_split(image, [width // 2], axis=1)),
+        ("one above the other", np.array_split(image, [height // 2], axis=0)),
+    ):
+        motions = _motions(_features_of(one), _features_of(other))
+        is_level = len(motions) and np.mean(np.abs(motions[:, 1]) < _LEVEL_PX) > _MOSTLY
+        if len(motions) >= 2 * _MIN_MATCHES and is_level:
+            advice = "`side_by_side` reads them" if where.startswith("beside") else "crop them"
+            _log.warning(
+                "%s: images seem to have those of a stereo pair %s, which are read as one: %s",
+                name,
+                where,
+                advice,
+                extra=warning_kind("calibration"),
+            )
+            return
+
+
 def _features(path: Path) -> _Features:
+    return _features_of(ImageFile(path).read())
+
+
+def _features_of(image: Pixels) -> _Features:
     """Pixels (N, 2) and descriptors in a small copy of an image."""
-    image = ImageFile(path).read()
     if image.dtype != np.uint8:
         image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U).astype(np.uint8)
     scale = min(1.0, _WIDTH / image.shape[1])

@@ -68,6 +68,10 @@ def test_same_pair_in_three_formats(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("intrinsics", "expected"),
     [
+        (
+            "[250, 250, 160, 120]",
+            "is the centre of images of about 321x241, and these have 640x480",
+        ),
         ("[500, 500, -20, 240]", "principal point (-20, 240) is outside the 640x480 image"),
         ("[40, 40, 320, 240]", "field of view of 166 degrees; check the unit"),
         ("[20000, 20000, 320, 240]", "field of view of 1.83 degrees"),

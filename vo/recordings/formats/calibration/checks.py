@@ -40,6 +40,9 @@ _MIN_FOCAL_RATIO = 0.03
 _MAX_READOUT_S = 0.2
 _PLAUSIBLE_FOCAL_RATIO = (0.1, 20.0)
 """Focal length over image width: pinhole cameras with fields of view of 157 and 3 degrees."""
+_SAME_SCALE = 0.1
+_CENTRED = (0.75, 1.3)
+"""Principal point relative to the centre, where both sides have about the same ratio."""
 _GRID = 15
 _MAX_FOLDED, _SOME_FOLDED = 0.3, 0.15
 """Parts of the image in which a lens cannot be undone: of a wrong model, or doubtful corners."""
@@ -288,6 +291,21 @@ def _check_pinhole(where: str, camera: Camera) -> None:
             where,
             camera.cx,
             camera.cy,
+            camera.width,
+            camera.height,
+            extra=warning_kind("calibration"),
+        )
+    sides = (2.0 * camera.cx + 1.0) / camera.width, (2.0 * camera.cy + 1.0) / camera.height
+    is_scaled = max(sides) < (1.0 + _SAME_SCALE) * min(sides)
+    if is_scaled and not _CENTRED[0] <= np.mean(sides) <= _CENTRED[1]:
+        checks_log.warning(
+            "%s: the principal point (%g, %g) is the centre of images of about %.0fx%.0f, and "
+            "these have %dx%d: the calibration seems to be for another size; scale fx, fy, cx, cy",
+            where,
+            camera.cx,
+            camera.cy,
+            2.0 * camera.cx + 1.0,
+            2.0 * camera.cy + 1.0,
             camera.width,
             camera.height,
             extra=warning_kind("calibration"),
