@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import cv2
@@ -246,29 +246,44 @@ def test_times_in_names_are_no_counters(tmp_path: Path) -> None:
     assert len(open_source(tmp_path, mode="mono")) == 60
 
 
-@pytest.mark.parametrize("table", ["rgb.txt", "mav0/cam0/data.csv"])
-def test_stamps_given_in_alphabetical_order_are_refused(tmp_path: Path, table: str) -> None:
-    names = sorted(f"frame{i}.png" for i in range(60))
-    for i in range(60):
-        folder = tmp_path / "rgb" if table == "rgb.txt" else tmp_path / "mav0/cam0/data"
-        layouts.write_image(folder / f"frame{i}.png", layouts.image(i))
-    rows = [f"{i / 10:.1f} rgb/{name}" for i, name in enumerate(names)]
-    if table != "rgb.txt":
-        rows = [f"{i * 10**8},{name}" for i, name in enumerate(names)]
+def in_order(tmp_path: Path, order: Sequence[int], table: str) -> Path:
+    """A recording whose stamps increase in this order of the numbers in its names."""
+    folder = {"rgb.txt": "rgb", "times.txt": "images"}.get(table, "mav0/cam0/data")
+    for i in range(len(order)):
+        layouts.write_image(tmp_path / folder / f"frame{order[i]}.png", layouts.image(i))
+    formats = {"rgb.txt": "{:.1f} rgb/{}", "times.txt": "{1} {0:.1f}"}
+    rows = [formats.get(table, "{2},{1}").format(i / 10, f"frame{n}.png", i * 10**8)
+            for i, n in enumerate(order)]  # fmt: skip
     layouts.write_text(tmp_path / table, "\n".join(rows))
     layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
-    message = r":13: frame19 is before frame2: .* go back 5 times while the stamps increase"
+    return tmp_path
+
+
+@pytest.mark.parametrize("count", [12, 39, 60])
+@pytest.mark.parametrize("table", ["rgb.txt", "mav0/cam0/data.csv", "times.txt"])
+def test_stamps_given_in_alphabetical_order_are_refused(
+    tmp_path: Path, table: str, count: int
+) -> None:
+    order = sorted(range(1, count + 1), key=str)
+    message = r"frame1\d is before frame2: .* go back \d times? .* in the alphabetical order of the"
     with pytest.raises(SourceError, match=message):
-        open_source(tmp_path, mode="mono")
+        open_source(in_order(tmp_path, order, table), mode="mono")
 
 
-def test_a_counter_that_begins_again_is_no_other_order(tmp_path: Path) -> None:
-    names = [f"frame{(i + 9990) % 10000}" for i in range(60)]
-    layouts.write_text(
-        tmp_path / "rgb.txt", "\n".join(f"{i / 10:.1f} {name}.png" for i, name in enumerate(names))
-    )
-    for i, name in enumerate(names):
-        layouts.write_image(tmp_path / f"{name}.png", layouts.image(i))
-    layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
-    frames = open_source(tmp_path, mode="mono").frames()
-    assert [frame.image0[0, 0] for frame in frames] == list(range(60))
+@pytest.mark.parametrize(
+    ("order", "is_doubtful"),
+    [
+        (range(60), False),
+        (range(60, 0, -1), False),  # the other way
+        ([(i + 9990) % 10000 for i in range(60)], False),  # a counter that begins again
+        ([1, 0, *range(2, 60)], False),  # a late image
+        ([i * 7919 % 10007 for i in range(60)], False),  # names by chance, as of downloads
+        ([i * 37 % 61 for i in range(60)], True),
+    ],
+)
+def test_names_that_count_in_another_order_are_doubtful(
+    tmp_path: Path, order: Sequence[int], is_doubtful: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = open_source(in_order(tmp_path, order, "rgb.txt"), mode="mono")
+    assert [frame.image0[0, 0] for frame in source.frames()] == list(range(60))
+    assert ("as if they had been given in another order" in caplog.text) == is_doubtful

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import statistics
@@ -20,8 +21,10 @@ from vo.recordings.formats.stamp_units import (
     parse_stamps,
 )
 from vo.recordings.formats.table import table_text
+from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.images import ImageFile, StoredImage
 
+_log = logging.getLogger(__name__)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _MISSING = "is missing; it should contain the stamps"
 _TIME_IN_NAME = re.compile(r"(\d{10}[_-]\d{1,9}|\d+(?:\.\d+)?(?:e\+?\d+)?)\D*$")
@@ -124,15 +127,16 @@ def make_shots(stamps: Iterable[int], files: Iterable[Path], places: Iterable[st
     """Images of files with increasing stamps, and where these were read."""
     rows = zip(stamps, files, places, strict=True)
     shots = [Shot(stamp, ImageFile(file), place) for stamp, file, place in rows]
+    _check_order_of_names(sorted(shots, key=lambda shot: shot.stamp_ns))
     check_increasing(shots)
-    _check_counters(shots)
     return shots
 
 
-def _check_counters(shots: Sequence[Shot]) -> None:
-    """Refuse stamps that were given to images in another order, such as 1, 10, 2, of their names.
+def _check_order_of_names(shots: Sequence[Shot]) -> None:
+    """Refuse stamps that were given to images in the alphabetical order 1, 10, 2 of their names.
 
-    A counter may begin again, or a few images be late.
+    Names that count, in any other order, are doubtful, but a counter may begin again, go down, or
+    a few images be late.
     """
     stems = [Path(shot.image.name).stem for shot in shots]
     words = {re.sub(r"\d+", "#", stem) for stem in stems}
@@ -140,12 +144,25 @@ def _check_counters(shots: Sequence[Shot]) -> None:
         return
     numbers = [int("".join(filter(str.isdigit, stem))) for stem in stems]
     back = [i for i in range(1, len(numbers)) if numbers[i] < numbers[i - 1]]
-    if len(back) > max(_MAX_BACK, _MAX_BACK_RATIO * len(shots)) and max(numbers) < _MIN_STAMP:
-        before, after = stems[back[0] - 1], stems[back[0]]
+    is_dense = max(numbers) - min(numbers) < 2 * len(numbers)
+    if not back or len(back) == len(numbers) - 1 or not is_dense:
+        return
+    before, after = stems[back[0] - 1], stems[back[0]]
+    message = (
+        f"{shots[back[0]].location}: {before} is before {after}: the numbers in the names go back "
+        f"{len(back)} times while the stamps increase"
+    )
+    advice = "give each image the stamp of its exposure"
+    if stems == sorted(stems):
         raise SourceError(
-            f"{shots[back[0]].location}: {before} is before {after}: the numbers in the names go "
-            f"back {len(back)} times while the stamps increase, as if these had been given in "
-            "another order; give them in the order in which the images were taken"
+            f"{message}: they were given in the alphabetical order of the names; {advice}"
+        )
+    if len(back) > max(_MAX_BACK, _MAX_BACK_RATIO * len(shots)):
+        _log.warning(
+            "%s, as if they had been given in another order; %s",
+            message,
+            advice,
+            extra=warning_kind("stamps"),
         )
 
 
