@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -28,6 +29,30 @@ def test_h_prints_the_help(name: str) -> None:
     assert short.exit_code == 0
     assert short.stdout == long.stdout
     assert "Usage:" in short.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_shows_few_options_and_points_to_the_rest(name: str) -> None:
+    options = [p.opts[0] for p in COMMANDS[name].params if p.param_type_name == "option"]
+    result = CliRunner().invoke(app, [name, "--help"], terminal_width=100)
+    shown = re.findall(r"^│ [ *]{0,4}(--[a-z-]+)", result.stdout, re.MULTILINE)
+    assert len(shown) <= 14
+    assert ("--help-all" in options) == (len(options) > 14)
+    if "--help-all" in options:
+        assert len(shown) <= 10
+        assert f"{len(options) - len(shown) + 1} more options" in result.stdout
+        everything = CliRunner().invoke(app, [name, "--help-all"], terminal_width=100)
+        assert everything.exit_code == 0
+        assert [option for option in options if option not in everything.stdout] == []
+
+
+def test_help_of_the_program_begins_with_three_commands() -> None:
+    text = CliRunner().invoke(app, ["--help"]).stdout
+    panels = re.findall(r"╭─ (.*?) ─+╮\n(.*?)╰", text, re.DOTALL)
+    rows = {name: re.findall(r"^│ ([a-z]+) ", body, re.MULTILINE) for name, body in panels[1:]}
+    assert list(rows)[0] == "Start here" and len(rows) == 4
+    assert rows["Start here"] == ["demo", "info", "run"]
+    assert sorted(sum(rows.values(), [])) == sorted(COMMANDS)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

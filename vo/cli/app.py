@@ -25,6 +25,7 @@ from vo.cli.echo import echo
 from vo.cli.eval import eval_command
 from vo.cli.features import features_command
 from vo.cli.flags import speak_as
+from vo.cli.help_levels import FIRST_OPTIONS, help_all_option
 from vo.cli.info import info_command
 from vo.cli.map import map_command
 from vo.cli.markers import markers_command
@@ -39,11 +40,6 @@ from vo.cli.synth import synth_command
 from vo.cli.view import view_command
 from vo.cli.vocabulary import vocabulary_command
 from vo.cli.warmup import warmup_command
-
-# Headings of the commands in `vo --help`.
-_ODOMETRY, _RESULTS, _RECORDINGS = "Odometry", "Results", "Recordings and cameras"
-_FEATURES = "Features"
-
 
 # Such as a number of a million digits in a damaged file.
 _LONG_WORD = re.compile(r"(\S{200})\S{800,}")
@@ -140,40 +136,43 @@ def _vo(
 
 
 _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
-    _ODOMETRY: {
-        "run": run_command,
-        "batch": batch_command,
+    "Start here": {
         "demo": demo_command,
-        "warmup": warmup_command,
+        "info": info_command,
+        "run": run_command,
     },
-    _RESULTS: {
+    "Results": {
+        "view": view_command,
         "eval": eval_command,
         "report": report_command,
         "compare": compare_command,
-        "sweep": sweep_command,
-        "view": view_command,
-        "render": render_command,
         "map": map_command,
+        "render": render_command,
     },
-    _RECORDINGS: {
-        "info": info_command,
-        "convert": convert_command,
+    "Recordings and cameras": {
         "calibrate": calibrate_command,
+        "convert": convert_command,
         "synth": synth_command,
+        "batch": batch_command,
+        "sweep": sweep_command,
+        "warmup": warmup_command,
     },
-    _FEATURES: {
-        "features": features_command,
+    "Features, markers and objects": {
         "match": match_command,
-        "recognize": recognize_command,
+        "features": features_command,
         "markers": markers_command,
+        "recognize": recognize_command,
         "models": models_command,
         "vocabulary": vocabulary_command,
     },
 }
+"""Commands below their headings in `vo --help`."""
 speak_as(CommandFunction(run_command))
 for _heading, _functions in _COMMANDS.items():
     for _name, _function in _functions.items():
-        app.command(_name, cls=Command, rich_help_panel=_heading)(CommandFunction(_function))
+        _extra = (help_all_option(),) if _name in FIRST_OPTIONS else ()
+        _given = CommandFunction(_function, *_extra)
+        app.command(_name, cls=Command, rich_help_panel=_heading)(_given)
 
 
 def keep_only(arguments: list[str]) -> None:

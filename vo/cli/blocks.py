@@ -74,13 +74,19 @@ class Only:
 
 
 class CommandFunction:
-    """A function for typer, without blocks; they are looked at when the command is prepared."""
+    """A function for typer, without blocks; they are looked at when the command is prepared.
 
-    def __init__(self, function: Callable[..., None]) -> None:
+    Args:
+        function: the command.
+        extra: options that are for typer alone.
+    """
+
+    def __init__(self, function: Callable[..., None], *extra: inspect.Parameter) -> None:
         update_wrapper(self, function)
         del self.__dict__["__wrapped__"]  # its parameters are others
         self.__annotations__ = {}
         self._function = function
+        self._extra = extra
 
     @property
     def __signature__(self) -> inspect.Signature:
@@ -91,6 +97,7 @@ class CommandFunction:
                 for name, given in inspect.signature(self._function).parameters.items()
                 for parameter in _parameters(name, hints[name], given.default)
             ]
+            + list(self._extra)
         )
 
     def __call__(self, **given: Any) -> None:

@@ -13,6 +13,7 @@ from vo.cli.blocks import CommandFunction
 from vo.cli.completion import OUTPUT_FORMATS
 from vo.cli.echo import echo
 from vo.cli.flags import speak_as
+from vo.cli.help_levels import first_level
 
 _RENAMED = {
     "convert": {"--source-format": "--format"},
@@ -37,6 +38,10 @@ class Command(TyperCommand):
         if ctx.params.get("quiet") and ctx.params.get("verbose"):
             raise typer.BadParameter("use only one of --quiet and --verbose")
         return rest
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Print the help, or its first level."""
+        TyperCommand.format_help(first_level(self, ctx), ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
         """Execute the command; with --verbose, loggers of the library let all messages pass."""

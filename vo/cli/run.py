@@ -53,13 +53,17 @@ def run_command(request: RunRequest) -> None:
 
       vo run my_sequence/ --output out/ --rrd out/run.rrd
 
-    Use the left camera, the first 500 frames, and more features:
-
-      vo run my_sequence/ -o out/ --mode mono --end 500 --set features.count=2500
-
     Run on images of your own camera (for the file see docs/calibration.md):
 
       vo run images/ -o out/ --calibration camera.yaml
+
+    Use one camera, and get the scale from GPS (see docs/scale.md):
+
+      vo run drive.mp4 -o out/ --mode mono --scale-from gps.nmea
+
+    Further examples. Use the left camera, the first 500 frames, and more features:
+
+      vo run my_sequence/ -o out/ --mode mono --end 500 --set features.count=2500
 
     Pass each pose to another program as soon as it is known (docs/outputs.md):
 
@@ -73,10 +77,6 @@ def run_command(request: RunRequest) -> None:
 
       vo run monday/ -o monday-out/ --save-map house.map
       vo run tuesday/ -o tuesday-out/ --map house.map
-
-    Use one camera, and get the scale from GPS (see docs/scale.md):
-
-      vo run drive.mp4 -o out/ --mode mono --scale-from gps.nmea --georeference
 
     Leave out the car's own bonnet and burnt-in text (see docs/recordings.md):
 
