@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import layouts
+import mcap_logs
 import numpy as np
 import pytest
 
 from vo.base.errors import SourceError
 from vo.base.types import Bytes
-from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
+from vo.recordings.formats.messages import ImageMessage, Message
+from vo.recordings.sources.grey_levels import GreyLevels, difference, find_grey_levels
 from vo.recordings.sources.images import Pixels
 from vo.recordings.sources.registry import open_source
 
@@ -159,3 +162,63 @@ def test_exchanged_bytes_are_noticed(shift: int) -> None:
 def test_noise_is_not_taken_for_exchanged_bytes() -> None:
     noise = np.random.default_rng(2).integers(0, 2**16, (60, 80), np.uint16)
     assert not find_grey_levels([Image(noise)] * 5).are_swapped
+
+
+def mosaic(colour: Bytes, pattern: str, gains: tuple[float, float, float]) -> Bytes:
+    """The raw pixels (H, W) of a sensor with filters in this pattern, of (H, W, 3) RGB."""
+    raw = np.empty(colour.shape[:2], np.uint8)
+    for place, name in enumerate(pattern):
+        channel = "rgb".index(name)
+        rows, columns = slice(place // 2, None, 2), slice(place % 2, None, 2)
+        raw[rows, columns] = colour[rows, columns, channel] * gains[channel]
+    return raw
+
+
+@pytest.mark.parametrize("bits_used", [8, 16])
+@pytest.mark.parametrize("gains", [(0.6, 1.0, 0.5), (1.0, 1.0, 1.0)])  # raw; with white balance
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_mosaics_of_colour_filters_are_averaged(
+    pattern: str, gains: tuple[float, float, float], bits_used: int
+) -> None:
+    rng = np.random.default_rng(3)
+    colour = cv2.GaussianBlur(rng.random((60, 80, 3)), (0, 0), 3.0)
+    colour = np.asarray((colour - colour.min()) / np.ptp(colour) * 255, np.uint8)
+    raw: Pixels = mosaic(colour, pattern, gains)
+    if bits_used == 16:
+        raw = raw.astype(np.uint16) * np.uint16(257)
+    found = find_grey_levels([Image(raw)] * 5)
+    assert found.is_mosaic
+    expected = colour @ (np.array(gains) * (0.25, 0.5, 0.25))
+    error = bits(found, Image(raw))[2:-2, 2:-2] - expected[2:-2, 2:-2]
+    assert np.abs(error).max() < 4.0
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.5, 1.0, 3.0])
+def test_noise_and_edges_are_no_mosaic(sigma: float) -> None:
+    rng = np.random.default_rng(4)
+    image = rng.integers(0, 256, (60, 80), np.uint8)
+    image[20:40, 20:40] = 255  # edges
+    image[::7] = 0
+    image = cv2.GaussianBlur(image, (0, 0), sigma) if sigma else image
+    assert not find_grey_levels([Image(np.asarray(image))] * 5).is_mosaic
+
+
+def test_a_mosaic_in_mono8_messages_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The grey image is not the mosaic, and raw pixels are as recorded."""
+    smooth = np.repeat(cv2.GaussianBlur(layouts.image(0), (0, 0), 2)[:, :, None], 3, axis=2)
+    raw = mosaic(np.asarray(smooth), "gbrg", (0.6, 1.0, 0.5))
+
+    def messages() -> Iterator[tuple[str, Message]]:
+        for topic, message in layouts.log_messages():
+            is_image = isinstance(message, ImageMessage)
+            yield topic, replace(message, data=raw.tobytes()) if is_image else message
+
+    source = open_source(mcap_logs.write_log(tmp_path / "log.mcap", messages()))
+    assert "colour filters (a Bayer mosaic, not grey as stated)" in caplog.text
+    for image in next(iter(source.frames())).images:
+        assert image is not None
+        assert difference(image) < difference(image, 2)
+    recorded = next(iter(source.frames(images="recorded"))).image0
+    np.testing.assert_array_equal(recorded, raw)

@@ -11,7 +11,6 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.types import Camera
 from vo.recordings.formats.calibration.checks import check_camera_matrix, make_camera
-from vo.recordings.formats.calibration.lenses import COUNTS, lens_named
 from vo.recordings.formats.calibration.numbers import check_rotation
 from vo.recordings.formats.messages import CalibrationMessage
 
@@ -82,12 +81,10 @@ def calibration_message(raw: RawCalibration) -> CalibrationMessage:
 
 def _camera(raw: RawCalibration, k: np.ndarray, binning: tuple[int, int]) -> Camera:
     model, coefficients = raw.model or "plumb_bob", [float(x) for x in raw.d]
-    counts = (4, 5) if model.lower() == "plumb_bob" else COUNTS[lens_named(model) or "none"]
     if not any(coefficients) and _IDEAL.fullmatch(model.lower()):
         model, coefficients = "none", []
-    # Some writers append zeros: 12 and 14 coefficients are OpenCV's thin prism and tilt models.
-    elif len(coefficients) not in counts and not any(coefficients[counts[-1] :]):
-        coefficients = coefficients[: counts[-1]]
+    elif model.lower() == "plumb_bob" and not any(coefficients[5:]):
+        coefficients = coefficients[:5]
     return make_camera(
         f"calibration message of '{raw.frame}'",
         [raw.size[0] // binning[0], raw.size[1] // binning[1]],

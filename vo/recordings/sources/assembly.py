@@ -27,7 +27,7 @@ from vo.recordings.formats.stamp_units import MAX_INTERVAL_NS, MIN_INTERVAL_NS
 from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
-from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
+from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels, seems_mosaic
 from vo.recordings.sources.images import Pixels, StoredImage
 from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.listing import Shot, median_interval_ns
@@ -164,14 +164,20 @@ def _first_image(shots: Sequence[Shot]) -> Pixels:
 def _grey_levels(
     contents: RecordingContents, first: Pixels, partners: Sequence[StoredImage | None] | None
 ) -> GreyLevels:
-    """The conversion to 8 bits; a stretch is reported."""
-    if first.dtype == np.uint8:
+    """The conversion to 8 bits; what is not usual is reported."""
+    if first.dtype == np.uint8 and not seems_mosaic(first):
         return GreyLevels(8)
     levels = find_grey_levels([shot.image for shot in contents.left], partners)
     if levels.are_swapped:
         _log.warning(
             "%s: the two bytes of the 16-bit values are stored in the wrong order, as neighbouring "
             "pixels show; they are exchanged",
+            contents.name,
+        )
+    if levels.is_mosaic:
+        _log.warning(
+            "%s: pixels have alternating colour filters (a Bayer mosaic, not grey as stated), as "
+            "pixels two apart are more alike than neighbours; they are averaged to grey",
             contents.name,
         )
     stretch = levels.stretch

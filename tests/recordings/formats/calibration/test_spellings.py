@@ -292,10 +292,33 @@ def test_focal_lengths_and_principal_point(tmp_path: Path, camera: dict[str, obj
     assert "has no distortion beside it" in read_error(tmp_path, json.dumps(lost), "c.json")
 
 
-def test_a_model_of_realsense_that_is_ideal(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("model", "shown"),
+    [
+        ("Inverse Brown Conrady", "'Inverse Brown Conrady'"),
+        ("RS2_DISTORTION_INVERSE_BROWN_CONRADY", "'RS2_DISTORTION_INVERSE_BROWN_CONRADY'"),
+        ("distortion.modified_brown_conrady", "'distortion.modified_brown_conrady'"),
+        (2, "2 (inversebrownconrady)"),
+        (1, "1 (modifiedbrownconrady)"),
+    ],
+)
+def test_a_model_of_realsense_that_is_ideal(tmp_path: Path, model: object, shown: str) -> None:
     data = {"width": 640, "height": 480, "fx": 380, "fy": 380, "ppx": 320, "ppy": 240}
-    data |= {"model": "Inverse Brown Conrady", "coeffs": [0, 0, 0, 0, 0]}
+    data |= {"model": model, "coeffs": [0, 0, 0, 0, 0]}
     assert read(tmp_path, json.dumps(data), "c.json").rig.cam0.distortion_model == "none"
     data["coeffs"] = [0.1, 0, 0, 0, 0]
     message = read_error(tmp_path, json.dumps(data), "c.json")
-    assert "model 'Inverse Brown Conrady' is not supported" in message
+    assert f"model {shown} is not supported" in message
+    assert "versions of RealSense's SDK distort by it, or undistort: calibrate the" in message
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [(4, "radtan"), (5, "equidistant"), ("RS2_DISTORTION_KANNALA_BRANDT4", "equidistant"),
+     ("KannalaBrandtK3", "equidistant"), ("BrownConrady", "radtan"), ("ELP-2MP", "radtan")],
+)  # fmt: skip
+def test_models_by_name_or_number(tmp_path: Path, model: object, expected: str) -> None:
+    """RealSense's SDK has five coefficients for all models, Sophus has its own names."""
+    data = {"width": 640, "height": 480, "fx": 380, "fy": 380, "ppx": 320, "ppy": 240}
+    data |= {"model": model, "coeffs": [0.01, -0.002, 0.001, 0.0005, 0]}
+    assert read(tmp_path, json.dumps(data), "c.json").rig.cam0.distortion_model == expected

@@ -6,7 +6,7 @@ from typing import Any
 
 from vo.base.errors import CalibrationError
 from vo.base.types import Camera, DistortionModel
-from vo.recordings.formats.calibration.numbers import make_list
+from vo.recordings.formats.calibration.numbers import make_list, unsupported
 
 DISTORTION_NAMES: dict[str, DistortionModel] = {
     "none": "none",
@@ -72,10 +72,7 @@ def make_lens(
     """The lens model and its coefficients, given a name in `DISTORTION_NAMES` or None."""
     name = "none" if model is None else lens_named(model)
     if name is None:
-        raise CalibrationError(
-            f"{where}: distortion model {str(model)[:40]!r} is not supported; supported are "
-            f"{', '.join(DISTORTION_NAMES)}"
-        )
+        raise unsupported(f"{where}: distortion model {str(model)[:40]!r}", DISTORTION_NAMES)
     numbers = make_list(f"{where}: distortion", coefficients)
     if model is None and numbers:
         raise CalibrationError(
@@ -83,13 +80,14 @@ def make_lens(
         )
     if name == "none" and not any(numbers):
         return "none", ()
-    if name == "radtan" and len(numbers) in _OPENCV_COUNTS:
-        if any(numbers[8:]):
-            raise CalibrationError(
-                f"{where}: distortion has {len(numbers)} coefficients; those of thin prisms and "
-                "tilted sensors, from the ninth on, must be 0: calibrate with 5 or 8"
-            )
-        numbers = numbers[:8]
+    most = COUNTS[name][-1]
+    if not any(numbers[most:]):  # some programs append zeros
+        numbers = numbers[:most]
+    elif name == "radtan" and len(numbers) in _OPENCV_COUNTS:
+        raise CalibrationError(
+            f"{where}: distortion has {len(numbers)} coefficients; those of thin prisms and "
+            "tilted sensors, from the ninth on, must be 0: calibrate with 5 or 8"
+        )
     if len(numbers) not in COUNTS[name]:
         counts = " or ".join(str(count) for count in COUNTS[name])
         raise CalibrationError(

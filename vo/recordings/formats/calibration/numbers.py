@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeGuard
 
@@ -16,6 +17,7 @@ from vo.recordings.formats.calibration.document import ImageSize, shortened
 _ROTATION_TOLERANCE = 1e-3
 _MAX_VALUE = 1e12
 _MAX_IMAGE_SIDE = 100_000
+_OF_REALSENSE = re.compile(r"(inverse|modified)[\W_]*brown[\W_]*conrady", re.IGNORECASE)
 
 
 def make_resolution(where: str, value: Any) -> ImageSize:
@@ -65,7 +67,13 @@ def make_positive(what: str, value: Any, advice: str = "it must be above 0") -> 
 
 def unsupported(what: str, known: Iterable[str]) -> CalibrationError:
     """The error for a model that is not supported."""
-    return CalibrationError(f"{what} is not supported; supported are {', '.join(known)}")
+    advice = ""
+    if _OF_REALSENSE.search(what):
+        advice = (
+            "; versions of RealSense's SDK distort by it, or undistort: calibrate the camera with "
+            "`vo calibrate`"
+        )
+    return CalibrationError(f"{what} is not supported; supported are {', '.join(known)}{advice}")
 
 
 def is_list(value: Any) -> TypeGuard[Sequence[Any]]:

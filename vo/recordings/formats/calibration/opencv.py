@@ -34,12 +34,17 @@ _RADTAN = (
     "brownconrady", "opencv", "fullopencv", "standard", "normal",
 )  # fmt: skip
 _EQUIDISTANT = (
-    "fisheye", "equidistant", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb4", "kb8",
-    "opencvfisheye",
+    "fisheye", "equidistant", "kannalabrandt", "kannalabrandt4", "kannalabrandt8",
+    "kannalabrandtk3", "kb4", "kb8", "opencvfisheye",
 )  # fmt: skip
 _OMNI = ("omni", "omnidir", "mei")
 _BROWN_CONRADY = ("modifiedbrownconrady", "inversebrownconrady")
 """Models of RealSense cameras, which are ideal if their coefficients are 0."""
+_REALSENSE_NUMBERS = {
+    "1": "modifiedbrownconrady", "2": "inversebrownconrady", "3": "ftheta", "4": "brownconrady",
+    "5": "kannalabrandt4",
+}  # fmt: skip
+"""Its SDK's numbers of the models, in files with its name ppx of the principal point."""
 _OTHERS = (
     "ds", "doublesphere", "eucm", "ucm", "unified", "fov", "atan", "scaramuzza", "ocam", "division",
     "equirectangular", "thinprism", "ftheta", *_BROWN_CONRADY,
@@ -145,7 +150,9 @@ def _lens_model(where: str, values: Values, side: str) -> str:
         entry = values.find(keys.spelled(names, side)) or values.find(names)
         if entry is None:
             continue
-        name = keys.normalised(entry.value).removeprefix("distortion")
+        name = keys.normalised(entry.value).removeprefix("rs2").removeprefix("distortion")
+        if values.find(keys.spelled(("ppx",), side)) is not None:
+            name = _REALSENSE_NUMBERS.get(name, name)
         if name in _BROWN_CONRADY and _is_zero(values, side):
             return "radtan"
         if name in _EQUIDISTANT:
@@ -156,7 +163,9 @@ def _lens_model(where: str, values: Values, side: str) -> str:
             return "radtan"
         # The model of a camera may also be the name of a product.
         if name not in _IDEAL and (not is_text or name in _OTHERS):
-            raise unsupported(f"{where}: {entry.key} {shortened(entry.value)[:60]}", _MODELS)
+            shown = shortened(entry.value)[:60]
+            shown = f"{shown} ({name})" if shown.isdigit() else shown
+            raise unsupported(f"{where}: {entry.key} {shown}", _MODELS)
     return "radtan"
 
 
