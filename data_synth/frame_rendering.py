@@ -99,14 +99,15 @@ def _camera_setups(plan: Plan) -> tuple[_CameraSetup, ...]:
 
 
 def _preview_mean(plan: Plan, setup: _CameraSetup, index: int, pool: ThreadPoolExecutor) -> float:
-    """Mean radiance of a view, from a fraction of its pixels."""
+    """Mean radiance of a view in the light of the start, from a fraction of its pixels."""
     step = _PREVIEW_STEP
     world_from_body = plan.path.world_from_body(plan.path_s[index : index + 1])[0]
     rays = np.ascontiguousarray(setup.rays[::step, ::step])
     view = render(
         _world(plan, index), rays, static_shutter(world_from_body @ setup.body_from_cam), pool
     )
-    return float((view.image * setup.vignette[::step, ::step]).mean())
+    light = plan.recipe.effects.light
+    return light * float((view.image * setup.vignette[::step, ::step]).mean())
 
 
 def _start_frame(

@@ -9,7 +9,7 @@ import numpy as np
 from data_synth.cameras import load_rig
 from data_synth.motion.body_path import poses_at
 from data_synth.motion.imu import measure, with_effects
-from data_synth.motion.motions import make_path, mount
+from data_synth.motion.motions import looking_aside, make_path, mount
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import Recipe
 from data_synth.records import BodyTruth, Imu, MoverTruth, Recording
@@ -64,6 +64,7 @@ def make_plan(recipe: Recipe) -> Plan:
         seed=recipe.session_seed,
         laps=recipe.laps,
     )
+    path = looking_aside(path, recipe.turns, recipe.turn_s)
     body_from_cam0 = mount(recipe.motion, scene.course)
     timing = make_timing(
         recipe.effects,

@@ -23,7 +23,7 @@ from vo.base.settings import (
     validate,
 )
 
-WorldName = Literal["room", "corridor", "street", "warehouse", "terrain"]
+WorldName = Literal["room", "corridor", "white_corridor", "street", "warehouse", "terrain"]
 MotionName = Literal["car", "robot", "handheld", "drone", "rotate", "stop_and_go", "loop"]
 LapName = Literal["forward", "reverse"]
 FormatName = Literal["euroc", "kitti", "tum", "folder", "mcap", "mcap-ros2"]
@@ -50,6 +50,9 @@ class Effects(Section):
     drops: float = Field(0.0, ge=0, le=50, description="missing frames, 1 % at 1")
     jitter: float = Field(
         0.0, ge=0, le=50, description="standard deviation of the stamps, 0.5 ms at 1"
+    )
+    light: float = Field(
+        1.0, gt=0, le=10, description="light on the scene: in a dark room 0.08, with noise=2"
     )
     dark: float = Field(0.0, ge=0, le=5, description="intervals of 2 s with little light")
     blackout: int = Field(0, ge=0, le=10_000, description="black frames in the middle")
@@ -115,6 +118,13 @@ class Recipe(Section):
         description="directions of the laps of a loop, one after the other, such as "
         "[forward, reverse]; none: as many forward laps as fit",
     )
+    turns: int = Field(
+        0,
+        ge=0,
+        le=1000,
+        description="times that the view turns aside by 90° and back, at up to 300°/s",
+    )
+    turn_s: float = Field(1.0, ge=0, le=60, description="time for which it then looks aside")
     seed: int = Field(0, ge=0, description="random seed")
     session: int = Field(
         0,

@@ -14,9 +14,15 @@ from pathlib import Path
 from statistics import median_low
 from typing import Any
 
-from benchmark_cases import CASES, Case, missed, suite_cases
+from benchmark_cases import CASES, Case, hard_cases, missed, suite_cases
 from benchmark_run import Result, measure_case
-from benchmark_table import document, generator_document, reading_document, suite_document
+from benchmark_table import (
+    document,
+    generator_document,
+    hard_document,
+    reading_document,
+    suite_document,
+)
 from common import EXPERIMENTS, ROOT, parser_of, suite, write_section, write_tum_calibration
 
 PAGE = EXPERIMENTS / "benchmark-tables.md"
@@ -53,11 +59,14 @@ def _section(options: argparse.Namespace, work: Path) -> tuple[str, str, Result]
         reading = measure_reading(options.cache, _say)
         report = {**_conditions(options), "reading": reading, "recording": recording}
         return "reading", reading_document(report), report
-    cases = _suite(options) if options.synth else [(c, options.data / c.folder) for c in CASES]
+    is_rendered = options.synth or options.hard
+    cases = _suite(options) if is_rendered else [(c, options.data / c.folder) for c in CASES]
     report = _measure(_chosen(cases, options), options, work)
     known = {case.name: case for case, _ in cases}
     for line in missed(known, report["results"]):
         _say(f"missed target: {line}")
+    if options.hard:
+        return "hard", hard_document(report, known), report
     if options.synth:
         return "suite", suite_document(report, known), report
     return "recordings", document(report, known), report
@@ -68,6 +77,7 @@ def _options() -> argparse.Namespace:
     parser = parser_of("benchmark", __doc__, *shared)
     add = parser.add_argument
     add("--synth", action="store_true", help="the synthetic suite instead of real recordings")
+    add("--hard", action="store_true", help="the hard set, with and without inertial sensors")
     add("--generator", action="store_true", help="the speed of the generator of recordings")
     add("--reading", action="store_true", help="the speed of reading, and the cost of an .rrd")
     add("--runs", type=int, default=1, help="runs of each; that of median wall time counts")
@@ -96,8 +106,9 @@ def _chosen(cases: list[tuple[Case, Path]], options: argparse.Namespace) -> list
 
 def _suite(options: argparse.Namespace) -> list[tuple[Case, Path]]:
     """The synthetic sequences; those missing in the cache are made."""
-    folders = suite(options.cache)
-    chosen = [case for case in suite_cases(list(folders)) if options.only in case.name]
+    folders = suite(options.cache, group="hard" if options.hard else "suite")
+    cases_of = hard_cases if options.hard else suite_cases
+    chosen = [case for case in cases_of(list(folders)) if options.only in case.name]
     return [(case, folders[case.folder]()) for case in chosen]
 
 
@@ -108,7 +119,7 @@ def _measure(
     results = [measure_case(case, folder, options, work, _say) for case, folder in chosen]
     return {
         **conditions,
-        "start_up_s": median_low(r["start_up_s"] for r in results),
+        "start_up_s": median_low(r.get("start_up_s", 0.0) for r in results),
         "results": results,
     }
 

@@ -32,12 +32,13 @@ class Case:
     hard: bool = False
     ate_percent: float | None = None
     t_rel: float | None = None  # maximum drift in percent
+    imu: bool = False  # with the inertial sensor, in metres with one camera too
     peers: tuple[Peer, ...] = ()
 
     @property
     def name(self) -> str:
-        """Sequence and mode."""
-        return f"{self.folder} {self.mode}"
+        """Sequence, mode and sensor."""
+        return f"{self.folder} {self.mode}" + (" + IMU" if self.imu else "")
 
 
 # On a hard sequence tracking may be lost, but the poses given must be this close to the truth.
@@ -86,6 +87,17 @@ def suite_cases(folders: list[str]) -> tuple[Case, ...]:
         else:
             cases += [Case(folder, "stereo", _MAV, ate_percent=0.3, t_rel=0.3)]
             cases += [Case(folder, "mono", _MAV[:1], ate_percent=0.5)]
+    return tuple(cases)
+
+
+def hard_cases(folders: list[str]) -> tuple[Case, ...]:
+    """The set that only a camera with an inertial sensor can pass, with and without it."""
+    cases = []
+    for folder in folders:
+        cases += [Case(folder, "stereo", _MAV, ate_percent=0.2, imu=True)]
+        cases += [Case(folder, "mono", _MAV[:1], scale=1.0, imu=True)]
+        cases += [Case(folder, "stereo", _MAV, hard=True)]
+        cases += [Case(folder, "mono", _MAV[:1], hard=True)]
     return tuple(cases)
 
 

@@ -32,7 +32,9 @@ def measure_case(
     say(f"{case.name}: ", end="")
     scratch = work / "out"
     result: Result = {"name": case.name, "folder": case.folder, "mode": case.mode, "failed": ""}
-    for _ in range(2):  # the first one compiles if this machine has not compiled before
+    for _ in range(
+        0 if options.hard else 2
+    ):  # the first one compiles if this machine has not compiled before
         result["start_up_s"] = run_case(case, folder, scratch, options, "--end", "2")[1].wall_s
     runs, digests = [], set()
     for number in range(options.runs):
@@ -42,11 +44,12 @@ def measure_case(
             say(f"failed: {failed}")
             return {**result, "failed": failed}
         digests.add(hashlib.sha256((out / "trajectory.tum").read_bytes()).hexdigest())
-        runs.append({**summary_of(run), **errors_of(case, out, folder)})
+        runs.append({**summary_of(run), **errors_of(case, run, folder)})
     runs.sort(key=lambda found: found["wall_ms"])
     result |= runs[(len(runs) - 1) // 2]
     result["same_bits"] = len(digests) == 1 if options.runs > 1 else None
-    result["limit_ms"] = limit_ms(folder, case.images, result["frames"])
+    if not options.hard:
+        result["limit_ms"] = limit_ms(folder, case.images, result["frames"])
     ate = "no path" if result["ate_m"] is None else f"ATE {result['ate_m']:.4f} m"
     say(f"{result['posed']}/{result['frames']} frames, {ate}, {result['wall_ms']:.0f} ms/frame")
     return result
@@ -77,9 +80,11 @@ def run_case(
 ) -> tuple[str, VoRun]:
     """`vo run` on a sequence: the reason of a failure, else an empty string; the run.
 
-    Inertial sensors are left out, as the other systems were measured without them.
+    Inertial sensors are left out, as the other systems were measured without them, but for cases
+    that are about them.
     """
-    words = ["--quiet", "--no-imu", "--mode", case.mode, "--config", str(options.config), *more]
+    words = ["--quiet", "--mode", case.mode, "--config", str(options.config), *more]
+    words += [] if case.imu else ["--no-imu"]
     words += [part for setting in options.set for part in ("--set", setting)]
     run = run_vo(folder, out, *words, *options_of(folder, options.calibration))
     is_warned = not run.failure and "Warning:" in run.stderr
@@ -91,7 +96,7 @@ def summary_of(run: VoRun) -> Result:
     summary = run.summary
     return {
         "frames": summary["frames"],
-        "posed": summary["tracked"],
+        "posed": summary["tracked"] + summary["inertial_poses"],
         "starting": summary["starting"],
         "lost": summary["lost"],
         "segments": len(summary["segments"]),
@@ -103,16 +108,18 @@ def summary_of(run: VoRun) -> Result:
     }
 
 
-def errors_of(case: Case, out: Path, folder: Path) -> Result:
+def errors_of(case: Case, run: VoRun, folder: Path) -> Result:
     """Errors of the longest segment against the ground truth; None where not available."""
-    smoothed = _evaluated(out / "trajectory.tum", folder, case)
-    causal = _evaluated(out / "causal.tum", folder, case)
+    out, unit = run.output, run.summary["length_unit"]
+    is_metric = case.mode == "stereo" or (case.imu and unit == "m")
+    align = "se3" if is_metric else "sim3"
+    smoothed = _evaluated(out / "trajectory.tum", folder, align)
+    causal = _evaluated(out / "causal.tum", folder, align)
     causal_m = None if causal is None else causal.ate.translation.rmse
     if smoothed is None:
         keys = ("ate_m", "ate_percent", "t_rel_percent", "path_m", "rpe_m", "rotation_deg")
         return {**dict.fromkeys((*keys, "scale_percent")), "ate_causal_m": causal_m}
     steps, segments, ate_m = smoothed.rpe_frames, smoothed.segments, smoothed.ate.translation.rmse
-    stereo = case.mode == "stereo"
     return {
         "ate_m": ate_m,
         "ate_causal_m": causal_m,
@@ -121,18 +128,17 @@ def errors_of(case: Case, out: Path, folder: Path) -> Result:
         "t_rel_percent": None if segments is None else segments.translation_percent,
         "rpe_m": None if steps is None else steps.translation.rmse,
         "rotation_deg": None if steps is None else steps.rotation.rmse,
-        "scale_percent": smoothed.alignment.scale_error_percent if stereo else None,
+        "scale_percent": smoothed.alignment.scale_error_percent,
     }
 
 
-def _evaluated(estimate: Path, folder: Path, case: Case) -> Any:
+def _evaluated(estimate: Path, folder: Path, align: str) -> Any:
     from vo.base.errors import VoError
     from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.evaluation.inputs import load_inputs
 
     try:
         inputs = load_inputs(estimate, folder)
-        align = "se3" if case.mode == "stereo" else "sim3"
         return evaluate(inputs.estimate, inputs.reference, align)
     except VoError:
         return None

@@ -80,6 +80,39 @@ def suite_document(report: Result, cases: dict[str, Case]) -> str:
     ])  # fmt: skip
 
 
+def hard_document(report: Result, cases: dict[str, Case]) -> str:
+    """The section on the hard set, with and without inertial sensors."""
+    kinds: dict[str, list[bool]] = {}
+    for result in report["results"]:
+        case = cases[result["name"]]
+        judged = [reached for _, reached in judge(case, result)]
+        if case.imu:
+            kinds.setdefault(case.mode, []).append(all(judged))
+    reached = {mode: f"{sum(found)} of {len(found)}" for mode, found in kinds.items()}
+    note = (
+        "Poses by the sensor alone count as poses. Goals: with two cameras and the sensor all "
+        "frames in one segment, with an ATE of at most 0.2 % of the path "
+        f"({reached.get('stereo', '–')}); with one camera and the sensor all frames after the "
+        f"start in one segment, with a scale within 1 % ({reached.get('mono', '–')})."
+    )
+    head = ["sequence", "mode", "path, m", "frames with a pose", "segments", "ATE smoothed, m",
+            "ATE, % of path", "scale error, %"]  # fmt: skip
+    rows = []
+    for r in report["results"]:
+        case = cases[r["name"]]
+        cells = _suite_cells(r) if r.get("failed") else [
+            number(r["path_m"], 1), f"{r['posed']}/{r['frames']}", str(r["segments"]),
+            number(r["ate_m"], 4), number(r["ate_percent"], 2), number(r["scale_percent"], 2, "+"),
+        ]  # fmt: skip
+        rows.append([case.folder, r["name"].removeprefix(case.folder).strip(), *cells[:6]])
+    made = made_by(
+        f"--hard --runs {report['runs']} --write",
+        f"{_machine(report)}; preset `{report['config']}`.",
+        " from the recipes in `configs/synth/hard`",
+    )
+    return "\n".join([*made, "", *paragraph(note), "", *table(head, rows)])
+
+
 def generator_document(report: Result) -> str:
     """The section on the speed of the generator of synthetic recordings."""
     head = ["world", "sequence", "build, s", "stereo frames/s", "peak MB"]

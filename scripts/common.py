@@ -114,11 +114,14 @@ def real_recordings(data: Path) -> list[Path]:
     return [p for p in sorted(data.glob("*_*")) if p.is_dir() and p.name != "eval_reference"]
 
 
-def suite(cache: Path, *settings: str) -> dict[str, Callable[[], Path]]:
-    """The synthetic suite: functions by name, which give the folder and render it where missing."""
+def suite(cache: Path, *settings: str, group: str = "suite") -> dict[str, Callable[[], Path]]:
+    """The synthetic suite: functions by name, which give the folder and render it where missing.
+
+    `group`: `suite`, or `hard` for the set that is hard on purpose.
+    """
     from data_synth.recipe import recipe_folder
 
-    presets = sorted((recipe_folder() / "suite").glob("*.yaml"))
+    presets = sorted((recipe_folder() / group).glob("*.yaml"))
     return {p.stem: partial(rendered, cache, p.stem, p, *settings) for p in presets}
 
 

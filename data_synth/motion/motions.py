@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,6 +37,7 @@ _STEP_S = 0.05
 _LEAD = 14  # controls before the start and after the end, for 0.6 s
 _SMOOTHING_STEPS = 60
 
+_TURN_RAD, _TURN_S = np.deg2rad(90.0), 0.57
 _FREEDOMS = (1.0, 0.5, 0.25, 0.0)
 _MIN_CUT_M = 0.06
 _SEED_ROUTE, _SEED_SCHEDULE, _SEED_WANDER = 21, 22, 23
@@ -93,6 +95,27 @@ def make_path(
         if collision is None:
             return path
     raise ConfigError(f"{motion}: {_describe(collision, limits)}; choose another motion or world")
+
+
+def looking_aside(path: PosePath, times: int, hold_s: float) -> PosePath:
+    """The path with quick turns of the view: to the left and back, then to the right and back.
+
+    The turning rate is that of a raised cosine, up to 300°/s. `times`: how often, at equal
+    distances in time. `hold_s`: time for which the view stays aside.
+    """
+    if times == 0:
+        return path
+    at_s = (np.arange(len(path.controls)) - path.lead) * path.step_s
+    aside = np.zeros(len(at_s))
+    for number in range(times):
+        middle_s = (number + 0.5) * path.duration_s / times
+        for sign, start_s in ((1.0, -0.5 * hold_s - _TURN_S), (-1.0, 0.5 * hold_s)):
+            done = np.clip((at_s - middle_s - start_s) / _TURN_S, 0.0, 1.0)
+            side = sign * (-1.0) ** number
+            aside += side * _TURN_RAD * (done - np.sin(2.0 * np.pi * done) / (2.0 * np.pi))
+    controls = path.controls.copy()
+    controls[:, 3] += aside
+    return replace(path, controls=controls)
 
 
 def _describe(collision: Collision | None, limits: Limits) -> str:

@@ -24,7 +24,7 @@ class Timing:
     times_s: Floats  # (F,) true middle of each exposure, seconds from the start
     stamps_ns: tuple[Ints, ...]  # for each camera, (F,) recorded stamps, strictly increasing
     dropped: tuple[Bools, ...]  # for each camera, (F,) bool: missing frames
-    illumination: Floats  # (F,) light, 1 at the start; 0 for black frames
+    illumination: Floats  # (F,) light, `effects.light` at the start; 0 for black frames
 
     @property
     def black(self) -> Bools:
@@ -44,7 +44,7 @@ def make_timing(
     """
     times_s = np.arange(frames) / fps
     illumination = drifting_light(times_s, effects.exposure, seed)
-    illumination *= dark_intervals(times_s, effects.dark, seed)
+    illumination *= effects.light * dark_intervals(times_s, effects.dark, seed)
     illumination[_blackout(frames, effects.blackout)] = 0.0
     return Timing(
         times_s=times_s,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ _DADO_M = 1.05
 _END_M = 0.9  # bare end of each wall of the core
 _ASIDE_M = 0.66  # distance of people from the middle
 _USUAL_PEOPLE = 5
+_WHITE = 0.85
 
 
 @dataclass(frozen=True)
@@ -43,14 +44,19 @@ class _Plan:
         return (self.short_m if side % 2 == 0 else self.long_m) / 2
 
 
-def make_scene(seed: int, movers: float = 0.0, session: int = 0) -> Scene:
+def make_scene(seed: int, movers: float = 0.0, session: int = 0, *, white: bool = False) -> Scene:
     """A closed loop of corridor of about 30 x 18 m, 2.4 m wide and 2.7 m high.
 
-    Doors repeat at equal distances; a stretch of 6 m to 9 m on one long side is bare.
+    Doors repeat at equal distances; a stretch of 6 m to 9 m on one long side is bare. White walls
+    have nothing on them, and no grain.
     """
     build = Builder(np.random.default_rng([seed, 31]))
     plan = _plan(build.rng)
     kit = fittings.make_kit(build)
+    if white:
+        plan = replace(plan, inner=_all_plain(plan.inner), outer=_all_plain(plan.outer))
+        even = build.paint(lambda _, shape: np.full(shape, _WHITE, np.float32))
+        kit = replace(kit, paint=even, dado=even)
     _shell(build, plan)
     for side in range(4):
         _side(build, kit, plan, side)
@@ -60,6 +66,10 @@ def make_scene(seed: int, movers: float = 0.0, session: int = 0) -> Scene:
     light = Lighting(lamps, ambient=0.68, points_per_m=4.0, max_points=200)
     light = light_of_session(light, seed, session)
     return Scene(bake_lighting(build.world(), light), course, people)
+
+
+def _all_plain(walls: tuple[tuple[str, ...], ...]) -> tuple[tuple[str, ...], ...]:
+    return tuple(("plain",) * len(modules) for modules in walls)
 
 
 def _plan(rng: Rng) -> _Plan:

@@ -10,6 +10,7 @@ from data_synth.scene.scene import Scene
 WORLDS: dict[str, str] = {
     "room": "data_synth.worlds.room",
     "corridor": "data_synth.worlds.corridor",
+    "white_corridor": "data_synth.worlds.white_corridor",
     "street": "data_synth.worlds.street",
     "warehouse": "data_synth.worlds.warehouse",
     "terrain": "data_synth.worlds.terrain",

@@ -8,7 +8,7 @@ import pytest
 from motion_courses import COURSES, LOOP_S, walls
 
 from data_synth.motion.limits import BOUNDS, LARGE_M, polygon_length_m
-from data_synth.motion.motions import make_path, mount
+from data_synth.motion.motions import looking_aside, make_path, mount
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import MotionName
 from vo.base.errors import ConfigError
@@ -238,3 +238,21 @@ def test_loops_are_driven_on_long_courses_and_walked_on_short_ones() -> None:
     assert polygon_length_m(COURSES["rectangle"].waypoints) == pytest.approx(480.0)
     assert _path("loop", "rectangle").controls[:, 2].mean() == pytest.approx(1.6, abs=0.01)
     assert _path("loop", "aisles").controls[:, 2].mean() == pytest.approx(1.5, abs=0.05)
+
+
+def test_view_turns_aside_and_back_at_300_degrees_per_second() -> None:
+    path = _path("handheld", "ring")
+    turned = looking_aside(path, 2, 3.0)
+    times = np.arange(0.0, SECONDS, 0.01)
+    assert np.array_equal(
+        turned.world_from_body(times)[:, :3, 3], path.world_from_body(times)[:, :3, 3]
+    )
+    plain, quick = (np.degrees(p.angular_velocity(times)[:, 2]) for p in (path, turned))
+    assert 285.0 < np.abs(quick - plain).max() < 315.0
+    ahead, aside = (
+        p.world_from_body(np.array([0.0, 7.5, 15.0, 22.5]))[:, :3, 0] for p in (path, turned)
+    )
+    assert np.allclose((ahead * aside).sum(axis=1), [1.0, 0.0, 1.0, 0.0], atol=0.03)
+    side = np.cross(ahead, aside)[:, 2]
+    assert side[1] > 0.9 and side[3] < -0.9
+    assert looking_aside(path, 0, 1.0) is path

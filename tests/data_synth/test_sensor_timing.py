@@ -36,6 +36,13 @@ def test_without_effects_stamps_are_exact_and_the_light_is_constant() -> None:
     assert not timing.black.any()
 
 
+def test_light_is_a_factor_of_the_whole_recording() -> None:
+    usual, dim = (_timing(Effects(light=light, blackout=40)) for light in (1.0, 0.08))
+    assert dim.illumination[0] == 0.08
+    assert np.allclose(dim.illumination, 0.08 * usual.illumination)
+    assert _runs(dim.black) == [(180, 220)]
+
+
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_there_are_stamps_and_losses_for_each_camera(cameras: int) -> None:
     timing = _timing(Effects(drops=1, jitter=1), cameras=cameras)

@@ -130,6 +130,13 @@ def test_corridor_has_views_with_few_and_with_many_corners(pool: ThreadPoolExecu
     assert max(counts) > 10 * bare
 
 
+def test_white_walls_have_no_corners_and_the_floor_has(pool: ThreadPoolExecutor) -> None:
+    white = make_scene("white_corridor", SEED)
+    aside = [_corners(view, 7) for view, _ in _views(white, pool, 28, turn=np.pi / 2)]
+    assert np.median(aside) < 5
+    assert min(_corners(view, 7) for view, _ in _views(white, pool, 5)) > 50
+
+
 def test_brightness_uses_the_range_without_clipping(scene: Scene, pool: ThreadPoolExecutor) -> None:
     for view, _ in _views(scene, pool, 7, turn=0.6):
         assert 0.25 < view.image.mean() < 0.7

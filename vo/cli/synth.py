@@ -34,7 +34,9 @@ class Scene:
         autocompletion=completion.recipes,
     )
     world: str | None = option(
-        "room, corridor, street, warehouse or terrain.", default=None, metavar="WORLD"
+        "room, corridor, white_corridor, street, warehouse or terrain.",
+        default=None,
+        metavar="WORLD",
     )
     motion: str | None = option(
         "car, robot, handheld, drone, rotate, stop_and_go or loop.", default=None, metavar="MOTION"
