@@ -4,7 +4,7 @@
 # For images without PyAV, whose wheel has GPL encoders: --build-arg EXTRAS=report,ros
 FROM python:3.13-slim AS build
 WORKDIR /src
-COPY pyproject.toml README.md LICENSE CHANGELOG.md constraints.txt ./
+COPY pyproject.toml hatch_build.py README.md LICENSE CHANGELOG.md constraints.txt ./
 COPY configs configs
 COPY vo vo
 COPY data_synth data_synth

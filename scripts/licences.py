@@ -10,7 +10,9 @@ from typing import NamedTuple
 from dependencies import home_page, licence, required
 
 PATH = Path(__file__).resolve().parent.parent / "docs" / "licences.md"
-EXTRAS = ("video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep")
+EXTRAS = (
+    *("view", "video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep"),
+)
 _BEGIN, _END = "<!-- begin of the list -->\n", "<!-- end of the list -->\n"
 
 

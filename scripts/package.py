@@ -22,7 +22,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 EXTRAS = (
-    *("", "video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep"),
+    *(
+        "",
+        "view",
+        "video",
+        "report",
+        "ros",
+        "foxglove",
+        "learned",
+        "onnxruntime",
+        "cluster",
+        "sweep",
+    ),
     "all",
 )
 _MB = 1e6
@@ -64,6 +75,7 @@ class Trial:
 
 TRIALS = (
     Trial(("info", "clip.avi"), "video", "is decoded by OpenCV", is_refused=False),
+    Trial(("run", "walk", "-o", "shown", "--rrd", "a.rrd"), "view", "need the extra 'view'"),
     Trial(("report", "run", "-o", "page.html"), "report", "need the extra 'report'"),
     Trial(("synth", "ros.mcap", "--to", "mcap-ros2", *_RECORDING), "ros", "need the extra 'ros'"),
 )
@@ -124,7 +136,7 @@ def try_extra(wheel: Path, extra: str, work: Path) -> tuple[float, float]:
     size = _size(environment) - before
     _call([str(python), "-c", _MAKE_VIDEO], folder)
     _call([str(vo), "synth", "walk", *_RECORDING], folder)
-    _call([str(vo), "run", "walk", "--output", "run", "--rrd", "run.rrd"], folder)
+    _call([str(vo), "run", "walk", "--output", "run"], folder)
     _call([str(vo), "eval", "run", "walk"], folder)
     _call([str(python), "-c", _MAKE_CALIBRATION], folder)
     for name, *words in _EXAMPLES:

@@ -53,12 +53,12 @@ def test_links_of_the_description_lead_to_files(description: email.message.Messa
     assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
-def test_the_wheel_has_two_packages_with_types_and_presets(wheel: Path) -> None:
+def test_the_wheel_has_one_package_with_types_and_presets(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
-    assert tops == {"vo", "data_synth"}
-    assert {"vo/py.typed", "data_synth/py.typed", "vo/configs/default.yaml"} <= names
+    assert tops == {"vo"}
+    assert {"vo/py.typed", "vo/data_synth/py.typed", "vo/configs/default.yaml"} <= names
     assert not any("test" in name.split("/") or name.endswith(".pyc") for name in names)
 
 
@@ -78,16 +78,22 @@ def test_the_repository_has_one_address() -> None:
 
 
 def test_the_wheel_works_from_another_folder(wheel: Path, tmp_path: Path) -> None:
-    """Installed without its dependencies, which this environment has."""
+    """Installed without its dependencies, which this environment has, and beside a namesake."""
+    (tmp_path / "data_synth.py").write_text("raise ImportError('of another project')")
     target = tmp_path / "site"
     install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-compile"]
     subprocess.run([*install, "--no-index", "--target", str(target), str(wheel)], check=True)
     code = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
-        "import vo, data_synth\n"
+        "import pkgutil, importlib, vo, vo.cli.app, vo.data_synth\n"
+        "for each in pkgutil.walk_packages(vo.data_synth.__path__, 'vo.data_synth.'):\n"
+        "    importlib.import_module(each.name)\n"
+        "from vo.data_synth.worlds.registry import make_scene\n"
+        "from vo.data_synth.writers.registry import FORMATS, load_writer\n"
+        "make_scene('room', 0), *map(load_writer, FORMATS)\n"
         "from vo.base.config import load_config\n"
         "load_config('fast')\n"
-        "print(vo.__version__, vo.__file__, data_synth.__file__, sep='\\n')"
+        "print(vo.__version__, vo.__file__, vo.data_synth.__file__, sep='\\n')"
     )
     result = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True

@@ -212,7 +212,7 @@ def test_the_wheel_brings_the_presets(tmp_path: Path) -> None:
         names = set(archive.namelist())
     assert {f"vo/configs/{preset}.yaml" for preset in PRESETS} <= names
     assert "vo/runs/run_recording.py" in names
-    assert "data_synth/sequence.py" in names
+    assert "vo/data_synth/sequence.py" in names
 
 
 def test_old_names_of_settings_still_work_with_a_warning(

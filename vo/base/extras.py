@@ -15,13 +15,12 @@ from vo.base.errors import MissingExtraError
 DISTRIBUTION = "visual-odometry"
 
 
-def require(package: str, extra: str | None, what: str) -> ModuleType:
+def require(package: str, extra: str, what: str) -> ModuleType:
     """Import a package that an extra installs.
 
     Args:
         package: name of the package in `import`, such as `av`.
-        extra: the extra of this distribution that installs it, such as `video`; None for a
-            package of the core that can be left out, such as `rerun`.
+        extra: the extra of this distribution that installs it, such as `video`.
         what: what needs it, in the plural, such as `videos`.
 
     Raises:
@@ -30,8 +29,9 @@ def require(package: str, extra: str | None, what: str) -> ModuleType:
     try:
         return importlib.import_module(package)
     except ImportError as error:
-        target = DISTRIBUTION if extra is None else f"'{DISTRIBUTION}[{extra}]'"
-        needed = f"the package {package}" if extra is None else f"the extra '{extra}'"
+        needed = f"the extra '{extra}'"
         if not isinstance(error, ModuleNotFoundError) or error.name != package:
             needed = f"{package}, which cannot be imported ({error})"
-        raise MissingExtraError(f"{what} need {needed}: pip install {target}") from error
+        raise MissingExtraError(
+            f"{what} need {needed}: pip install '{DISTRIBUTION}[{extra}]'"
+        ) from error

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo.base.errors import MissingExtraError
+from vo.base.extras import require
 from vo.base.printable import counted
 from vo.cli import options
 from vo.cli.blocks import option
@@ -49,7 +50,7 @@ def demo_command(
     errors = printing.errors
     sequence = _find_or_make_sequence(output, console, errors)
     results = output / "run"
-    rrd, picture = results / "run.rrd", results / "eval.png"
+    rrd, picture = _recording_for_viewer(results, errors), results / "eval.png"
     summary = _run(sequence, results, rrd, errors)
     console.print(
         f"tracked     {summary.tracked} of {counted(summary.frames, 'frame')}, "
@@ -59,8 +60,8 @@ def demo_command(
     has_picture = _try_to_draw(picture, inputs, evaluation, errors)
     if printing.json_output:
         files = {"recording": sequence, "output": results, "rrd": rrd}
-        paths = {name: str(path) for name, path in files.items()}
-        paths |= {"picture": str(picture)} if has_picture else {}
+        files["picture"] = picture if has_picture else None
+        paths = {name: str(path) for name, path in files.items() if path is not None}
         echo_json({**paths, "summary": summary.to_dict(), "evaluation": evaluation.to_dict()})
     print_evaluation(evaluation, inputs, console=console)
     _print_next_steps(console, sequence, results, rrd, picture if has_picture else None)
@@ -80,7 +81,17 @@ def _find_or_make_sequence(output: Path, console: Console, errors: Console) -> P
     return sequence
 
 
-def _run(sequence: Path, results: Path, rrd: Path, errors: Console) -> Summary:
+def _recording_for_viewer(results: Path, errors: Console) -> Path | None:
+    """Where to record for the viewer; None without its extra, which one line says."""
+    try:
+        require("rerun", "view", "recordings for the viewer")
+    except MissingExtraError as missing:
+        errors.print(f"no recording for the viewer: {missing}", markup=False, soft_wrap=True)
+        return None
+    return results / "run.rrd"
+
+
+def _run(sequence: Path, results: Path, rrd: Path | None, errors: Console) -> Summary:
     from vo.base.config import load_config
     from vo.cli.console import standard_error
     from vo.cli.progress import make_progress, warnings_on
@@ -112,17 +123,18 @@ def _try_to_draw(picture: Path, inputs: Inputs, evaluation: Evaluation, errors: 
 
 
 def _print_next_steps(
-    console: Console, sequence: Path, results: Path, rrd: Path, picture: Path | None
+    console: Console, sequence: Path, results: Path, rrd: Path | None, picture: Path | None
 ) -> None:
     vo = _program("vo")
     quoted = [shlex.quote(str(path)) for path in (sequence, results)]
+    view = f"  {vo} view {quoted[1]}    # the run in 3D; --web without a screen"
     lines = (
         "",
         *([] if picture is None else [f"picture     {picture}"]),
-        f"viewer      {rrd}",
+        *([] if rrd is None else [f"viewer      {rrd}"]),
         f"results     {results}",
         "\nTry next:",
-        f"  {vo} view {quoted[1]}    # the run in 3D; --web without a screen",
+        *([] if rrd is None else [view]),
         f"  {vo} report {quoted[1]}    # one HTML page of the run",
         f"  {vo} eval {quoted[1]} {quoted[0]} --json    # the same figures as JSON",
         f"  {vo} synth out/street --preset kitti    # another scene, camera and motion",

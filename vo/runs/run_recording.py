@@ -136,6 +136,8 @@ def _check_outputs(
     source: str | Path | FrameStream, output: Path, config: Config, options: RunOptions
 ) -> None:
     """Refuse outputs that would overwrite the input, files of others, or each other."""
+    if options.rrd is not None or options.viewer is not None:
+        require("rerun", "view", "recordings for the viewer")
     if options.save_map is not None and not config.memory.loops:
         raise ConfigError("`save_map` needs loops; leave out `memory.loops=false`")
     memory = config.memory
@@ -274,7 +276,6 @@ def _recorder(options: RunOptions, *, is_live: bool) -> Recorder:
         return options.recorder
     if options.rrd is None and options.viewer is None:
         return NullRecorder()
-    require("rerun", extra=None, what="recordings for the viewer")
     from vo.outputs.recorders.background import BackgroundRecorder
     from vo.outputs.recorders.rerun_recorder import RerunRecorder  # importing rerun takes long
 

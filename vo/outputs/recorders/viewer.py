@@ -118,6 +118,7 @@ def start_native(file: Path | None = None) -> ViewerProcess:
     Raises:
         OutputError: it does not start, usually because there is no display.
     """
+    require("rerun_cli", "view", "viewers")
     problem, advice = (
         "a viewer cannot be opened here",
         f"use `{'serve' if file is None else 'web'}`",
@@ -218,7 +219,7 @@ def _last_line(output: bytes) -> str:
 
 def _program() -> str:
     """The executable of the viewer; the command `rerun` does not forward signals to it."""
-    require("rerun_cli", extra=None, what="viewers")
+    require("rerun_cli", "view", "viewers")
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
