@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vo.api import features, maps
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
-    from vo.api.matching import match
+    from vo.api.matching import match, panorama
     from vo.api.objects import ObjectDatabase
     from vo.api.odometry import Odometry
     from vo.base.config import Config, load_config
@@ -104,6 +104,7 @@ _DEFINED_IN = {
     "maps": "vo.api.maps",
     "match": "vo.api.matching:match",
     "open": "vo.recordings.sources.registry:open_source",
+    "panorama": "vo.api.matching:panorama",
     "quat_xyzw_from_rotation": "vo.base.geometry.transforms:quat_xyzw_from_rotation",
     "read_calibration": "vo.recordings.formats.calibration:read_calibration",
     "read_trajectory": "vo.recordings.formats.trajectory:read_trajectory",
@@ -160,6 +161,7 @@ __all__ = [
     "maps",
     "match",
     "open",
+    "panorama",
     "quat_xyzw_from_rotation",
     "read_calibration",
     "read_trajectory",

@@ -109,6 +109,27 @@ def test_methods_are_scored_by_a_homography(image: Path, tmp_path: Path) -> None
     assert "left out: optical flow" in everything.stderr
 
 
+def test_a_folder_of_hpatches_has_accuracies(image: Path, tmp_path: Path) -> None:
+    pixels = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE)
+    assert pixels is not None
+    height, width = pixels.shape
+    folder, picture = tmp_path / "v_wall", tmp_path / "accuracy.png"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "1.ppm"), np.dstack([pixels] * 3))
+    for number, slope in ((2, 1e-4), (3, -2e-4)):
+        homography = np.array([[1.0, 0.05, -8], [-0.04, 1.1, 5], [slope, slope, 1]])
+        seen = cv2.warpPerspective(pixels, homography, (width, height))
+        cv2.imwrite(str(folder / f"{number}.ppm"), np.dstack([seen] * 3))
+        np.savetxt(folder / f"H_1_{number}", homography)
+    for row in results(folder, "--compare", "orb,sift", "--picture", picture):
+        assert row["pairs"] == 2 and row["corner_px"] < 1.5
+        assert row["within_3_px"] == row["within_5_px"] == 1.0
+    assert cv2.imread(str(picture)) is not None
+    (folder / "3.ppm").unlink()
+    refused = features(folder, "--compare", "orb")
+    assert refused.exit_code == 1 and "no image 3.ppm" in refused.stderr
+
+
 def test_a_folder_of_images_needs_no_calibration(images: Path) -> None:
     (images / "calibration.yaml").unlink()
     assert results(images, "--frame", 2, "--detector", "fast")[0]["count"] > 0

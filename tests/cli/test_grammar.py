@@ -66,7 +66,7 @@ def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
     required = [p for p in COMMANDS[name].params if p.required and p.param_type_name == "argument"]
     first = {"map": "info", "vocabulary": "train", "recognize": "list"}.get(name, "x")
     words = [name, *([first, *"x" * len(required)][: len(required)]), "-q", "-v"]
-    words += ["-o", "y"] if name in ("run", "vocabulary") else []
+    words += ["-o", "y"] if name in ("run", "vocabulary", "panorama") else []
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 2
     assert "use only one of --quiet and --verbose" in " ".join(result.stderr.split())

@@ -10,19 +10,23 @@ import numpy as np
 
 from vo.api.inputs import rig_of
 from vo.base.config import Config, load_config
-from vo.base.errors import ConfigError
-from vo.base.images.given_images import ColourOrder, grey_image, grey_mask
-from vo.base.types import Bytes, Rig
+from vo.base.errors import CalibrationError, ConfigError
+from vo.base.images.given_images import ColourOrder, grey_image, grey_mask, image_array
+from vo.base.types import Bytes, Camera, Floats, Rig
 from vo.recordings.formats.calibration import Calibration, read_calibration
 from vo.recordings.sources.single_image import SingleImage, read_single_image
 from vo.tools.pairs.image_pair import ImagePair, match_images
 from vo.tools.pairs.pair_options import (
     PairChoices,
     check_cameras,
+    pair_baseline,
     pair_cameras,
     pair_masks,
     pair_options,
+    region_masks,
 )
+from vo.tools.pairs.stitching import panorama as stitched
+from vo.tools.pairs.stitching import read_in_colour
 
 
 class MatchOptions(PairChoices, total=False):
@@ -30,12 +34,15 @@ class MatchOptions(PairChoices, total=False):
 
     Attributes:
         right: the second image is of the right camera of the calibration.
+        roi_a, roi_b: areas of one image to use, such as `["0,0,320,240"]`.
         masks: (H, W) bool or uint8 for each image, nonzero where features may lie, or None.
         colour: order of the channels of arrays in colour: `bgr` (OpenCV) or `rgb`.
     """
 
     right: bool
     masks: tuple[Any, Any]
+    roi_a: Sequence[str]
+    roi_b: Sequence[str]
     colour: ColourOrder
 
 
@@ -45,7 +52,7 @@ def match(
     config: Config | str | Path = "default",
     *,
     overrides: Sequence[str] = (),
-    calibration: Calibration | Rig | str | Path | None = None,
+    calibration: Calibration | Rig | Camera | Floats | str | Path | None = None,
     **options: Unpack[MatchOptions],
 ) -> ImagePair:
     """Match two images, and find the model and the motion between them, as `vo match` does.
@@ -56,10 +63,11 @@ def match(
         b: the second image, perhaps of another size.
         config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
         overrides: settings to change, such as `["features.count=2500"]`.
-        calibration: of the camera of both images; without one there is no motion, unless both are
-            frames of recordings with a calibration.
+        calibration: of the camera of both images: a file, `vo.read_calibration(file)`, a `vo.Rig`,
+            a `vo.Camera`, or a 3 x 3 matrix K of images without distortion; without one there is
+            no motion, unless both are frames of recordings with a calibration.
         **options: detector, descriptor, matcher, ratio, cross_check, model, method, threshold_px
-            (see `PairChoices`), right, masks and colour (see `MatchOptions`).
+            (see `PairChoices`), right, masks, roi_a, roi_b and colour (see `MatchOptions`).
 
     Returns:
         Keypoints, matches, model, inliers and motion; `failure` where no model fits.
@@ -84,18 +92,90 @@ def match(
     if isinstance(calibration, str | Path):
         height, width = first.image.shape
         calibration = read_calibration(calibration, (width, height))
-    rig = None if calibration is None else rig_of(calibration, "auto", has_depth=False)
-    cameras = pair_cameras(rig, (first.camera, second.camera), right=is_right)
     images = (first.image, second.image)
+    cameras, baseline = _cameras(calibration, (first, second), right=is_right)
     check_cameras(cameras, images, (first.name, second.name))
-    one, other = (
-        _with(of_settings, mask, each)
-        for of_settings, mask, each in zip(
-            pair_masks(config, images, right=is_right), masks, (first, second), strict=True
-        )
-    )
+    regions = (_areas(options.pop("roi_a", ())), _areas(options.pop("roi_b", ())))
+    of_settings = region_masks(pair_masks(config, images, right=is_right), images, regions)
+    one, other = map(_with, of_settings, masks, (first, second))
     choices: PairChoices = options
-    return match_images(images, pair_options(config, choices, cameras), (one, other))
+    return match_images(images, pair_options(config, choices, cameras, baseline), (one, other))
+
+
+def _areas(given: Any) -> list[str]:
+    return [given] if isinstance(given, str) else list(given)
+
+
+def _cameras(
+    calibration: Any, images: tuple[SingleImage, SingleImage], *, right: bool
+) -> tuple[tuple[Camera, Camera] | None, Floats | None]:
+    """The cameras of both images, and the motion of a calibrated pair, as far as they are known."""
+    if isinstance(calibration, np.ndarray | list):
+        first, second = (_ideal_camera(calibration, each.image) for each in images)
+        return (first, second), None
+    if isinstance(calibration, Camera):
+        calibration = Rig(calibration)
+    rig = None if calibration is None else rig_of(calibration, "auto", has_depth=False)
+    cameras = pair_cameras(rig, (images[0].camera, images[1].camera), right=right)
+    return cameras, pair_baseline(rig, images, right=right)
+
+
+def _ideal_camera(matrix: Any, image: Bytes) -> Camera:
+    """The camera of a matrix K."""
+    try:
+        k = np.array(matrix, dtype=np.float64)
+    except (TypeError, ValueError):
+        k = np.empty(0)
+    zeros = [] if k.shape != (3, 3) else [k[0, 1], k[1, 0], *k[2, :2], k[2, 2] - 1.0]
+    if k.shape != (3, 3) or not np.isfinite(k).all() or any(zeros) or min(k[0, 0], k[1, 1]) <= 0:
+        raise CalibrationError(
+            "the calibration is no camera matrix; give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in "
+            "pixels (for lens distortion a vo.Camera or a file)"
+        )
+    height, width = image.shape
+    fx, fy, cx, cy = (float(k[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return Camera(width, height, fx, fy, cx, cy)
+
+
+def panorama(
+    images: Sequence[Any],
+    *,
+    calibration: Calibration | Rig | Camera | str | Path | None = None,
+    flat: bool = False,
+) -> Bytes:
+    """One picture (H, W, 3) BGR of overlapping images, as of `vo panorama`.
+
+    Args:
+        images: in order; (H, W) or (H, W, 3) BGR arrays of uint8, or paths.
+        calibration: of the camera, whose lens distortion is removed.
+        flat: the images show one plane from several places.
+
+    Raises:
+        InputError: the images do not fit together.
+    """
+    shots = [_in_colour(each, f"image {number}") for number, each in enumerate(images)]
+    if isinstance(calibration, str | Path) and shots:
+        height, width = shots[0].shape[:2]
+        calibration = read_calibration(calibration, (width, height))
+    if isinstance(calibration, Camera):
+        calibration = Rig(calibration)
+    camera = None
+    if calibration is not None:
+        camera = rig_of(calibration, "auto", has_depth=False).cam0
+    names = [str(each) if isinstance(each, str | Path) else str(n) for n, each in enumerate(images)]
+    for name, shot in zip(names, shots, strict=True):
+        cameras = None if camera is None else (camera, camera)
+        check_cameras(cameras, (shot[:, :, 0],) * 2, (name, name))
+    return stitched(shots, names, camera, flat=flat)
+
+
+def _in_colour(given: Any, name: str) -> Bytes:
+    if isinstance(given, str | Path):
+        return read_in_colour(given)
+    image = image_array(given, name)
+    if image.dtype == np.uint8 and image.ndim == 3:
+        return np.ascontiguousarray(image[:, :, :3])
+    return np.repeat(grey_image(given, name)[:, :, None], 3, axis=2)
 
 
 def _check_names(given: Set[str]) -> None:

@@ -31,6 +31,7 @@ from vo.cli.map import map_command
 from vo.cli.markers import markers_command
 from vo.cli.match import match_command
 from vo.cli.models import models_command
+from vo.cli.panorama import panorama_command
 from vo.cli.recognize import recognize_command
 from vo.cli.render import render_command
 from vo.cli.report import report_command
@@ -160,6 +161,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
     "Features, markers and objects": {
         "match": match_command,
         "features": features_command,
+        "panorama": panorama_command,
         "markers": markers_command,
         "recognize": recognize_command,
         "models": models_command,

@@ -15,7 +15,11 @@ _METHOD, _COMPARISON = "Method", "Comparison"
 class Request:
     """Arguments and options of the command."""
 
-    target: Path = argument("An image, or a recording in any format of vo run.", metavar="TARGET")
+    target: Path = argument(
+        "An image, a recording in any format of vo run, or a folder of HPatches (1.ppm, 2.ppm, "
+        "H_1_2, …).",
+        metavar="TARGET",
+    )
     second: Path | None = argument(
         "A second image of the same plane, with --homography.",
         default=None,
@@ -69,7 +73,7 @@ class Request:
     reading: Annotated[options.Reading, Only("calibration", "format", "topic")]
     picture: Path | None = option(
         "Draw the features of an image to this PNG file, or plot the comparison of a "
-        "recording (.png, .pdf, .svg).",
+        "recording or of planes (.png, .pdf, .svg).",
         default=None,
         metavar="FILE",
         panel=options.OUTPUT,
@@ -94,9 +98,10 @@ def features_command(
       vo features my_sequence/ --compare orb,sift,klt --picture methods.png
       vo run my_sequence/ -o out/ --set features.detector=sift
 
-    Compare methods on two images of a plane:
+    Compare methods on images of a plane, by homographies within 1, 3 and 5 px:
 
       vo features 1.ppm 2.ppm --homography H_1_2 --compare orb,sift
+      vo features v_boat/ --compare orb,sift --picture accuracy.png
     """
     from vo.cli.features_run import run_request
     from vo.outputs.results.output_paths import refuse_to_overwrite

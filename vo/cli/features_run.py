@@ -21,10 +21,23 @@ from vo.recordings.sources.source import Recording
 from vo.tools.drawing import check_plot
 from vo.tools.laboratory.comparison import compare, one_thread, plan_pairs
 from vo.tools.laboratory.examination import examine
-from vo.tools.laboratory.images import GreyImage, is_image, read_frame, read_homography, read_image
+from vo.tools.laboratory.images import (
+    GreyImage,
+    PlanePair,
+    is_image,
+    plane_pairs,
+    read_frame,
+    read_homography,
+    read_image,
+)
 from vo.tools.laboratory.methods import KLT, Method, expand, make_method, missing_detectors
-from vo.tools.laboratory.pictures import check_picture, save_comparison, save_features
-from vo.tools.laboratory.repeatability import score_plane
+from vo.tools.laboratory.pictures import (
+    check_picture,
+    save_comparison,
+    save_features,
+    save_planes,
+)
+from vo.tools.laboratory.repeatability import PlaneScore, mean_score, score_plane
 
 if TYPE_CHECKING:
     from vo.cli.features import Request
@@ -42,8 +55,12 @@ def run_request(request: Request, console: Console) -> FeaturesResult:
     """
     _check(request)
     methods = _methods(request)
-    if request.second is not None:
-        return _compare_images(request, methods, console)
+    if request.second is not None and request.homography is not None:
+        pair = PlanePair(request.target, request.second, request.homography)
+        return _compare_planes(request, [pair], methods, console)
+    pairs = plane_pairs(request.target)
+    if pairs:
+        return _compare_planes(request, pairs, methods, console)
     if request.compare is None or request.frame is not None or is_image(request.target):
         return _examine(request, methods, console)
     return _compare_frames(request, methods, console)
@@ -156,25 +173,32 @@ def _open(request: Request) -> Recording:
     )
 
 
-def _compare_images(
-    request: Request, methods: Sequence[Method], console: Console
+def _compare_planes(
+    request: Request, pairs: Sequence[PlanePair], methods: Sequence[Method], console: Console
 ) -> FeaturesResult:
-    assert request.second is not None and request.homography is not None
     if request.picture is not None:
-        raise ConfigError("--picture needs a recording, or one image; leave it out")
-    homography = read_homography(request.homography)
-    first, second = read_image(request.target).pixels, read_image(request.second).pixels
-    if first.shape != second.shape and _ALL in (request.compare or ""):
-        methods = [method for method in methods if not method.needs_one_size]
-        _log.warning("left out: optical flow, as the images differ in size")
-    scores = []
-    with counting(console, request.target.name, len(methods)) as step, one_thread():
-        for method in methods:
-            step(method.name)
-            method.match(first, first)  # what is loaded at first use
-            scores.append(score_plane(method, first, second, homography))
+        check_plot(request.picture)
+    scores: dict[str, list[PlaneScore]] = {}
+    with counting(console, request.target.name, len(pairs) * len(methods)) as step, one_thread():
+        for number, pair in enumerate(pairs):
+            homography = read_homography(pair.homography)
+            first, second = read_image(pair.first).pixels, read_image(pair.second).pixels
+            if first.shape != second.shape and _ALL in (request.compare or ""):
+                methods = [method for method in methods if not method.needs_one_size]
+                _log.warning("left out: optical flow, as the images differ in size")
+            for method in methods:
+                step(method.name)
+                if number == 0:
+                    method.match(first, first)  # what is loaded at first use
+                score = score_plane(method, first, second, homography)
+                scores.setdefault(method.name, []).append(score)
+    means = tuple(mean_score(scores[method.name]) for method in methods)
+    if request.picture is not None:
+        save_planes(request.picture, means, request.target.name)
     height, width = first.shape
-    return FeaturesResult(str(request.target), (width, height), None, planes=tuple(scores))
+    return FeaturesResult(
+        str(request.target), (width, height), None, planes=means, picture=request.picture
+    )
 
 
 def _compare_frames(

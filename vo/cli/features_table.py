@@ -14,7 +14,7 @@ from rich.table import Table
 from vo.cli.console import print_table, standard_output
 from vo.tools.laboratory.comparison import Comparison
 from vo.tools.laboratory.examination import FeatureReport
-from vo.tools.laboratory.repeatability import PlaneScore
+from vo.tools.laboratory.repeatability import ACCURACIES_PX, PlaneScore
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,7 @@ def _of_image(reports: Sequence[FeatureReport]) -> Table:
 def _of_plane(scores: Sequence[PlaneScore]) -> Table:
     table = _table(
         *("method", "features", "matches", "repeatability", "matching score", "precision"),
+        *("corner px", *(f"≤{limit:g} px" for limit in ACCURACIES_PX)),
         *("ms per image", "ms to match"),
     )
     for score in scores:
@@ -101,6 +102,8 @@ def _of_plane(scores: Sequence[PlaneScore]) -> Table:
             f"{score.features[0]}, {score.features[1]}",
             str(score.matches),
             *(f"{v:.2f}" for v in (score.repeatability, score.matching_score, score.precision)),
+            f"{score.corner_px:.2f}" if math.isfinite(score.corner_px) else "–",
+            *(f"{v:.2f}" for v in (score.within_1_px, score.within_3_px, score.within_5_px)),
             f"{score.extract_ms:.1f}",
             f"{score.match_ms:.1f}",
         )

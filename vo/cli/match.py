@@ -109,37 +109,93 @@ class PairChoice:
     )
 
 
-def match_command(
+@block(options.INPUT)
+class Request:
+    """Arguments and options of the command."""
+
     first: str = argument(
-        "First image: a file, or RECORDING:NUMBER for a frame of a recording.", metavar="A"
-    ),
-    second: str = argument("Second image.", metavar="B"),
-    *,
+        "First image: a file, or RECORDING:NUMBER for a frame of a recording; or a folder of "
+        "images, of which all pairs are matched.",
+        metavar="A|DIR",
+    )
+    second: str | None = argument("Second image.", default=None, metavar="B", show_default=False)
+    pairs: Path | None = option(
+        "Match the pairs of this text file, with two names below DIR in each line.",
+        default=None,
+        metavar="FILE",
+        show_default="all pairs",
+    )
+    window: int | None = option(
+        "Match images of DIR that are at most N apart in the order of their names.",
+        default=None,
+        min=1,
+        metavar="N",
+    )
     calibration: Path | None = option(
         "Calibration of the camera, for the motion: any format of `vo run`.",
         default=None,
         metavar="FILE",
         show_default="that of the recording",
-        panel=options.INPUT,
-    ),
+    )
     right: bool = option(
-        "B is of the right camera.", "--right", default=False, panel=options.INPUT
-    ),
-    masks: options.MaskOptions,
-    given: PairChoice,
+        "B is of the right camera; of one time, the motion is the calibrated one, in metres.",
+        "--right",
+        default=False,
+    )
+    masks: options.MaskOptions
+    roi_a: list[str] | None = option(
+        "Use only this area of A, as --roi; repeatable.",
+        "--roi-a",
+        default=None,
+        metavar="AREA",
+    )
+    roi_b: list[str] | None = option(
+        "Use only this area of B.", "--roi-b", default=None, metavar="AREA"
+    )
+    given: PairChoice
+    output: list[Path] | None = option(
+        "Write keypoints, matches and geometry: .csv, .npz, .h5 (HDF5), or .db (COLMAP "
+        "database). Repeatable.",
+        "--output",
+        "-o",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
     picture: Path | None = option(
-        "Draw both images side by side, inliers green and other matches red, to this .png or "
+        "Draw both images side by side, inliers blue and other matches orange, to this .png or "
         ".jpg file.",
         default=None,
         metavar="FILE",
         panel=options.OUTPUT,
-    ),
+    )
+    best: int | None = option(
+        "Draw only the N matches with the most similar descriptors.",
+        default=None,
+        min=1,
+        metavar="N",
+        panel=options.OUTPUT,
+    )
     epipolar: bool = option(
         "Draw epipolar lines in the picture.", "--epipolar", default=False, panel=options.OUTPUT
-    ),
-    printing: options.Printing,
-) -> None:
-    """Match two images, and find the geometry and the motion between them.
+    )
+    warp: Path | None = option(
+        "Draw A as B sees it, by the homography, in one picture with B (.png, .jpg).",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
+    keypoints: bool = option(
+        "Add all keypoints and matches to --json.",
+        "--keypoints",
+        default=False,
+        panel=options.OUTPUT,
+    )
+    printing: options.Printing
+
+
+def match_command(request: Request) -> None:
+    """Match images, and find the geometry and the motion between them.
 
     The motion needs a calibration; the length of its translation is unknown
     with two images, so that only its direction is given.
@@ -152,61 +208,13 @@ def match_command(
 
       vo match my_sequence:0 my_sequence:15 --picture ab.png --epipolar
 
+    All pairs of a folder, for COLMAP and for Python:
+
+      vo match photos/ -o photos.db -o photos.npz
+
     Exit status: 0 a model was found, 1 none, or an error, 2 wrong usage.
     """
-    from vo.base.config import load_config
-    from vo.base.errors import ConfigError
-    from vo.cli.console import standard_error
-    from vo.cli.match_table import print_failures, print_pair
-    from vo.outputs.results.output_paths import refuse_to_overwrite
-    from vo.recordings.formats.calibration import read_calibration
-    from vo.recordings.sources.single_image import read_single_image
-    from vo.tools.pairs.image_pair import match_images, pair_record
-    from vo.tools.pairs.pair_options import (
-        check_cameras,
-        pair_cameras,
-        pair_masks,
-        pair_options,
-    )
+    from vo.cli.match_run import run_request
 
-    if epipolar and picture is None:
-        raise ConfigError("--epipolar needs --picture FILE, where the lines are drawn")
-    read = [text for each in (first, second) for text in (each, each.rpartition(":")[0])]
-    refuse_to_overwrite([*(Path(text) for text in read if text), calibration], [picture])
-    settings = load_config(given.config, [*(given.set_values or []), *masks.settings])
-    with printing.details(), printing.errors.status("matching"):
-        shots = (read_single_image(first), read_single_image(second, right=right))
-        images = (shots[0].image, shots[1].image)
-        size = (images[0].shape[1], images[0].shape[0])
-        rig = None if calibration is None else read_calibration(calibration, size).rig
-        cameras = pair_cameras(rig, (shots[0].camera, shots[1].camera), right=right)
-        names = (shots[0].name, shots[1].name)
-        check_cameras(cameras, images, names)
-        chosen = pair_options(
-            settings,
-            {
-                "detector": given.detector,
-                "descriptor": given.descriptor,
-                "matcher": None if given.matcher is None else given.matcher.value,
-                "ratio": given.ratio,
-                "cross_check": None if given.cross_check else False,
-                "model": given.model.value,
-                "method": given.method.value,
-                "threshold_px": given.threshold,
-            },
-            cameras,
-        )
-        pair = match_images(images, chosen, pair_masks(settings, images, right=right))
-        if picture is not None:
-            from vo.tools.pairs.pair_picture import write_pair_picture
-
-            write_pair_picture(picture, images, pair, epipolar=epipolar)
-    written = None if picture is None else str(picture)
-    printing.show(
-        lambda: pair_record(pair, chosen, names) | {"picture": written},
-        lambda: print_pair(pair, chosen, names, picture),
-    )
-    if printing.quiet and not printing.json_output:
-        print_failures(pair, standard_error())
-    if pair.fit is None:
+    if not run_request(request):
         raise typer.Exit(1)

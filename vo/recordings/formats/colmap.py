@@ -15,7 +15,7 @@ from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
 from vo.base.types import Bytes, Camera, Floats, Ints
 
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")
-_CENTRE_TO_CORNER_PX = 0.5
+CENTRE_TO_CORNER_PX = 0.5
 _WITHOUT_K3, _WITH_K3 = 4, 5  # numbers of radtan coefficients
 
 
@@ -24,8 +24,8 @@ def has_colmap_model(camera: Camera) -> bool:
     return camera.distortion_model in ("none", "radtan", "equidistant")
 
 
-def camera_line(camera: Camera) -> str:
-    """`1 MODEL width height parameters`; for cameras with a COLMAP model only."""
+def camera_model(camera: Camera) -> tuple[str, list[float]]:
+    """Model and parameters; for cameras with a COLMAP model only."""
     model, coefficients = "PINHOLE", list(camera.distortion)
     if camera.distortion_model == "equidistant":
         model = "OPENCV_FISHEYE"
@@ -37,9 +37,14 @@ def camera_line(camera: Camera) -> str:
         model, coefficients = "FULL_OPENCV", coefficients + [0.0] * (8 - len(coefficients))
     else:
         coefficients = []
-    centre = (camera.cx + _CENTRE_TO_CORNER_PX, camera.cy + _CENTRE_TO_CORNER_PX)
-    values = (camera.fx, camera.fy, *centre, *coefficients)
-    return f"1 {model} {camera.width} {camera.height} {' '.join(repr(float(v)) for v in values)}"
+    centre = (camera.cx + CENTRE_TO_CORNER_PX, camera.cy + CENTRE_TO_CORNER_PX)
+    return model, [float(v) for v in (camera.fx, camera.fy, *centre, *coefficients)]
+
+
+def camera_line(camera: Camera) -> str:
+    """`1 MODEL width height parameters`; for cameras with a COLMAP model only."""
+    model, values = camera_model(camera)
+    return f"1 {model} {camera.width} {camera.height} {' '.join(map(repr, values))}"
 
 
 class ModelWriter:
@@ -69,7 +74,7 @@ class ModelWriter:
         pose = inverse(world_from_cam)
         x, y, z, w = quat_xyzw_from_rotation(pose[:3, :3]).tolist()
         values = (w, x, y, z, *pose[:3, 3].tolist())
-        pairs = zip((xy + _CENTRE_TO_CORNER_PX).tolist(), point.tolist(), strict=True)
+        pairs = zip((xy + CENTRE_TO_CORNER_PX).tolist(), point.tolist(), strict=True)
         observations = " ".join(f"{u:.3f} {v:.3f} {number + 1}" for (u, v), number in pairs)
         self._images.write(f"{row + 1} {' '.join(map(repr, values))} 1 {name}\n{observations}\n")
 

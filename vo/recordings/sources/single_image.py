@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from vo.base.errors import CalibrationError, SourceError
-from vo.base.types import Bytes, Camera
+from vo.base.types import Bytes, Camera, Rig
 from vo.recordings.sources.grey_levels import find_grey_levels
 from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.registry import FORMATS, open_source
@@ -22,11 +22,15 @@ class SingleImage(NamedTuple):
 
     Attributes:
         camera: calibration of the recording that it comes from, None without one.
+        rig: all cameras of that recording.
+        frame: its number in that recording.
     """
 
     name: str
     image: Bytes
     camera: Camera | None = None
+    rig: Rig | None = None
+    frame: int | None = None
 
 
 def read_single_image(given: str | Path, *, right: bool = False) -> SingleImage:
@@ -68,7 +72,8 @@ def _frame_of(path: Path, number: int, *, right: bool) -> SingleImage:
     for frame in recording.frames(number, number + 1):
         image = frame.images[index]
         if image is not None:
-            camera = recording.rig.cameras[index] if is_calibrated else None
-            return SingleImage(name, image, camera)
+            if not is_calibrated:
+                return SingleImage(name, image, frame=number)
+            return SingleImage(name, image, recording.rig.cameras[index], recording.rig, number)
     side = "right image of " if right else ""
     raise SourceError(f"the {side}frame {number} of {path} cannot be read")

@@ -54,6 +54,34 @@ def read_frame(recording: Recording, number: int) -> Frame:
     raise SourceError(f"frame {number} of {recording.name} cannot be read; choose another `frame`")
 
 
+class PlanePair(NamedTuple):
+    """Files of two images of a plane, and the homography from the first to the second."""
+
+    first: Path
+    second: Path
+    homography: Path
+
+
+def plane_pairs(folder: Path) -> list[PlanePair]:
+    """The pairs of a folder of HPatches: `1.ppm` with each N.ppm of a file `H_1_N`; may be empty.
+
+    Raises:
+        SourceError: an image of a pair is missing.
+    """
+    if not folder.is_dir():
+        return []
+
+    def image(number: str) -> Path:
+        found = [folder / f"{number}{suffix}" for suffix in IMAGE_SUFFIXES]
+        path = next((each for each in found if each.is_file()), None)
+        if path is None:
+            raise SourceError(f"{folder} has homographies (H_1_2, …), but no image {number}.ppm")
+        return path
+
+    files = sorted(folder.glob("H_1_*"))
+    return [PlanePair(image("1"), image(path.name[4:]), path) for path in files]
+
+
 def read_homography(path: Path) -> Floats:
     """A homography (3, 3), second_from_first, as text of three rows, as in HPatches.
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from vo.base.printable import printable
 from vo.base.types import Bytes, Floats, Keypoints
 from vo.tools.drawing import check_plot, saved_figure, write_picture
 from vo.tools.laboratory.comparison import Comparison
+from vo.tools.laboratory.repeatability import ACCURACIES_PX, PlaneScore
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,15 +78,39 @@ def save_comparison(path: Path, rows: Sequence[Comparison], title: str) -> None:
         OutputError: unsupported suffix, or the file cannot be written.
         MissingExtraError: matplotlib is not installed.
     """
-    check_plot(path)
     methods = list(dict.fromkeys(row.method for row in rows))
-    with saved_figure(path, 9.0, 1.6 + 0.26 * len(methods), dpi=120) as figure:
-        figure.suptitle(printable(title), fontsize=11, parse_math=False)
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.2))
+    with _comparison_figure(path, title, len(methods)) as (left, right):
         _draw_ratios(left, rows, methods)
         _draw_times(right, rows, methods)
+
+
+@contextmanager
+def _comparison_figure(path: Path, title: str, methods: int) -> Iterator[tuple[Axes, Axes]]:
+    check_plot(path)
+    with saved_figure(path, 9.0, 1.6 + 0.26 * methods, dpi=120) as figure:
+        figure.suptitle(printable(title), fontsize=11, parse_math=False)
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.0, 1.2))
+        yield left, right
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def save_planes(path: Path, scores: Sequence[PlaneScore], title: str) -> None:
+    """Plot the ratio of homographies within 1, 3 and 5 px, and CPU times, by method.
+
+    `path`: .png, .pdf or .svg file.
+
+    Raises:
+        OutputError: unsupported suffix, or the file cannot be written.
+        MissingExtraError: matplotlib is not installed.
+    """
+    methods = [score.method for score in scores]
+    ratios = np.array([[s.within_1_px, s.within_3_px, s.within_5_px] for s in scores])
+    with _comparison_figure(path, title, len(methods)) as (left, right):
+        _draw_table(left, ratios, methods, [f"{limit:g}" for limit in ACCURACIES_PX])
+        left.set_xlabel("largest mean error of the corners, px")
+        left.set_title("ratio of homographies", fontsize=9)
+        _draw_bars(right, [2.0 * score.extract_ms + score.match_ms for score in scores])
 
 
 def _draw_ratios(axes: Axes, rows: Sequence[Comparison], methods: Sequence[str]) -> None:
@@ -92,6 +118,12 @@ def _draw_ratios(axes: Axes, rows: Sequence[Comparison], methods: Sequence[str])
     ratios = np.full((len(methods), len(gaps)), np.nan)
     for row in rows:
         ratios[methods.index(row.method), gaps.index(row.gap)] = row.good_ratio
+    _draw_table(axes, ratios, methods, [str(gap) for gap in gaps])
+    axes.set_xlabel("frames between the images")
+    axes.set_title("ratio of pairs with errors below 2°", fontsize=9)
+
+
+def _draw_table(axes: Axes, ratios: Floats, methods: Sequence[str], columns: Sequence[str]) -> None:
     axes.imshow(ratios, vmin=0.0, vmax=1.0, cmap=_MAPPED, aspect="auto")
     for (row_number, column), value in np.ndenumerate(ratios):
         if np.isfinite(value):
@@ -99,10 +131,8 @@ def _draw_ratios(axes: Axes, rows: Sequence[Comparison], methods: Sequence[str])
             axes.text(
                 column, row_number, f"{value:.2f}", ha="center", va="center", c=colour, fontsize=8
             )
-    axes.set_xticks(range(len(gaps)), [str(gap) for gap in gaps])
+    axes.set_xticks(range(len(columns)), list(columns))
     axes.set_yticks(range(len(methods)), list(methods), fontsize=8)
-    axes.set_xlabel("frames between the images")
-    axes.set_title("ratio of pairs with errors below 2°", fontsize=9)
 
 
 def _draw_times(axes: Axes, rows: Sequence[Comparison], methods: Sequence[str]) -> None:
@@ -112,8 +142,11 @@ def _draw_times(axes: Axes, rows: Sequence[Comparison], methods: Sequence[str]) 
     for row in rows:
         total[row.method] += row.pairs * (2.0 * row.extract_ms + row.match_ms)
         pairs[row.method] += row.pairs
-    at = np.arange(len(methods))
-    axes.barh(at, [total[name] / pairs[name] for name in methods], color=_BAR)
+    _draw_bars(axes, [total[name] / pairs[name] for name in methods])
+
+
+def _draw_bars(axes: Axes, ms: Sequence[float]) -> None:
+    axes.barh(np.arange(len(ms)), ms, color=_BAR)
     axes.set_xscale("log")
     axes.set_xlabel("ms of CPU time per pair, one thread")
     axes.grid(axis="x", alpha=0.3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,8 @@ from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Bytes, Floats, Floats32, Ints
 from vo.tools.laboratory.methods import Method, PairMatches
+from vo.tools.pairs.two_view_fit import fit_homography
+from vo.tools.pairs.two_view_records import Fit
 
 CORRECT_PX = 2.0
 """Largest distance of a correct match from its true place or epipolar line."""
@@ -29,8 +31,12 @@ class Transfers(NamedTuple):
     backward: Transfer
 
 
+ACCURACIES_PX = (1.0, 3.0, 5.0)
+"""Corner errors below which a homography counts, as is usual on HPatches."""
+
+
 class PlaneScore(NamedTuple):
-    """What a method reached on two images of a plane."""
+    """What a method reached on two images of a plane, or on several pairs: then means."""
 
     method: str
     features: tuple[int, int]  # in the first and in the second image
@@ -40,6 +46,13 @@ class PlaneScore(NamedTuple):
     precision: float  # ratio of matches that are correct
     extract_ms: float  # CPU time of detection and description, per image
     match_ms: float  # CPU time of matching
+    # Mean distance of the corners by the estimated homography from the true ones, of several pairs
+    # the median; infinite without one
+    corner_px: float
+    within_1_px: float  # ratio of pairs with a corner error up to this
+    within_3_px: float
+    within_5_px: float
+    pairs: int = 1
 
 
 def score_plane(method: Method, first: Bytes, second: Bytes, homography: Floats) -> PlaneScore:
@@ -68,7 +81,36 @@ def score_plane(method: Method, first: Bytes, second: Bytes, homography: Floats)
         correct / matches if matches else 0.0,
         found.extract_ms / 2.0,
         found.match_ms,
+        *_accuracy(found, homography, first.shape),
     )
+
+
+def mean_score(scores: Sequence[PlaneScore]) -> PlaneScore:
+    """The score of a method on several pairs."""
+    columns = {name: [getattr(score, name) for score in scores] for name in PlaneScore._fields}
+    means = {name: float(np.mean(columns[name])) for name in PlaneScore._fields[3:-1]}
+    first, second = (round(float(np.mean(side))) for side in zip(*columns["features"], strict=True))
+    means["corner_px"] = float(np.median(columns["corner_px"]))
+    matches = round(float(np.mean(columns["matches"])))
+    return PlaneScore(scores[0].method, (first, second), matches, **means, pairs=len(scores))
+
+
+def _accuracy(
+    found: PairMatches, homography: Floats, shape: tuple[int, ...]
+) -> tuple[float, float, float, float]:
+    """Corner error in pixels, and whether it is within each of the usual limits.
+
+    Source: DeTone, Malisiewicz, Rabinovich, "SuperPoint", CVPRW 2018, section 7.3.
+    """
+    fit = fit_homography(found.first, found.second)
+    error = float("inf")
+    if isinstance(fit, Fit):
+        height, width = shape[:2]
+        corners = np.array([[0, 0], [width - 1, 0], [0, height - 1], [width - 1, height - 1]])
+        away = transferred(corners, fit.matrix) - transferred(corners, homography)
+        error = float(np.mean(np.linalg.norm(away, axis=1)))
+    one, three, five = (float(error <= limit) for limit in ACCURACIES_PX)
+    return error, one, three, five
 
 
 def by_homography(

@@ -13,12 +13,12 @@ import numpy as np
 from vo.base.config import Config
 from vo.base.geometry.cameras import ideal_pixels
 from vo.base.geometry.transforms import rotation_angle
-from vo.base.types import Bools, Bytes, Camera, Floats, Keypoints
+from vo.base.types import Bools, Bytes, Camera, Floats, Ints, Keypoints
 from vo.engine.features.extractor import make_extractor
 from vo.engine.features.matching import grid_motion_consistent, make_matcher, method_of
 from vo.engine.frontend.contracts import FeatureExtractor, Matches, feature_set
 from vo.tools.pairs.model_selection import fit_best
-from vo.tools.pairs.relative_pose import relative_pose
+from vo.tools.pairs.relative_pose import calibrated_pose, relative_pose
 from vo.tools.pairs.two_view_fit import fit_essential, fit_fundamental, fit_homography
 from vo.tools.pairs.two_view_records import Fit, FitFailure, FitOptions, RelativePose
 
@@ -33,6 +33,8 @@ class PairOptions(NamedTuple):
         model: `f` fundamental, `e` essential (needs cameras), `h` homography, or the one of these
             that explains the matches best.
         cameras: of both images, None if they are unknown.
+        baseline: second_from_first (4, 4) in metres of a calibrated pair of cameras; the motion if
+            the matches agree with it.
     """
 
     config: Config
@@ -40,6 +42,7 @@ class PairOptions(NamedTuple):
     model: ModelName = "auto"
     fit: FitOptions = FitOptions()
     cameras: tuple[Camera, Camera] | None = None
+    baseline: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +59,7 @@ class ImagePair:
         pose_failure: why there is no pose, None if there is one or no cameras are known.
         cameras: of both images, None if they are unknown.
         stage_ms: time of each step in milliseconds.
+        baseline_contradicted: a calibrated pair was given, but the matches do not fit its motion.
     """
 
     sizes: tuple[tuple[int, int], tuple[int, int]]
@@ -68,6 +72,7 @@ class ImagePair:
     pose_failure: FitFailure | None
     cameras: tuple[Camera, Camera] | None
     stage_ms: dict[str, float]
+    baseline_contradicted: bool = False
 
     @property
     def first_xy(self) -> Floats:
@@ -78,6 +83,11 @@ class ImagePair:
     def second_xy(self) -> Floats:
         """(n, 2) pixels of the matches in the second image."""
         return np.asarray(self.keypoints[1].xy[self.matches.train], dtype=np.float64)
+
+    @property
+    def matched_rows(self) -> Ints:
+        """(n, 2) rows of the matched keypoints in both images."""
+        return np.column_stack([self.matches.query, self.matches.train])
 
     @property
     def inlier(self) -> Bools:
@@ -100,23 +110,48 @@ def match_images(
     Raises:
         ConfigError: this build of OpenCV lacks a detector, descriptor or matcher.
     """
-    watch = _Watch()
-    config = options.config
-    extractor = make_extractor(config.features)
-    with watch("features"):
-        first, second = (
-            extractor.extract(image, mask) for image, mask in zip(images, masks, strict=True)
-        )
-    sizes = tuple((image.shape[1], image.shape[0]) for image in images)
-    with watch("matching"):
-        matches = _matches(extractor, (first, second), (sizes[0], sizes[1]), options)
-    matcher = "gms" if options.grid_motion else method_of(config.matching, extractor)
-    pair = ImagePair(
-        (sizes[0], sizes[1]),
-        *((first, second), matches, matcher, None, None, None, None, options.cameras, watch.ms),
+    matcher = PairMatcher(options)
+    first, second = (
+        matcher.extract(image, mask) for image, mask in zip(images, masks, strict=True)
     )
-    with watch("geometry"):
-        return _with_geometry(pair, options)
+    return matcher.match(first, second)
+
+
+class ImageFeatures(NamedTuple):
+    """The features of one image."""
+
+    keypoints: Keypoints
+    size: tuple[int, int]  # width, height
+    ms: float  # that finding them took
+
+
+class PairMatcher:
+    """Finds the features of images once, and matches any two of them."""
+
+    def __init__(self, options: PairOptions) -> None:
+        self._options = options
+        self._extractor = make_extractor(options.config.features)
+
+    def extract(self, image: Bytes, mask: Bytes | None = None) -> ImageFeatures:
+        """Features of an image (H, W) uint8, outside of where its mask is 0."""
+        watch = _Watch()
+        with watch("features"):
+            found = self._extractor.extract(image, mask)
+        return ImageFeatures(found, (image.shape[1], image.shape[0]), watch.ms["features"])
+
+    def match(self, first: ImageFeatures, second: ImageFeatures) -> ImagePair:
+        """What relates two images."""
+        options, watch = self._options, _Watch()
+        watch.ms["features"] = first.ms + second.ms
+        keypoints, sizes = (first.keypoints, second.keypoints), (first.size, second.size)
+        with watch("matching"):
+            matches = _matches(self._extractor, keypoints, sizes, options)
+        method = method_of(options.config.matching, self._extractor)
+        matcher = "gms" if options.grid_motion else method
+        nothing = (None, None, None, None)
+        pair = ImagePair(sizes, keypoints, matches, matcher, *nothing, options.cameras, watch.ms)
+        with watch("geometry"):
+            return _with_geometry(pair, options)
 
 
 class _Watch:
@@ -170,6 +205,12 @@ def _with_geometry(pair: ImagePair, options: PairOptions) -> ImagePair:
         return replace(pair, failure=found)
     if matrices is None:
         return replace(pair, fit=found)
+    if options.baseline is not None:
+        inliers = first[found.inlier], second[found.inlier]
+        known = calibrated_pose(options.baseline, inliers, matrices, options.fit.threshold_px)
+        if known is not None:
+            return replace(pair, fit=found, pose=known)
+        pair = replace(pair, baseline_contradicted=True)
     pose = relative_pose(found, first, second, matrices, options.fit.threshold_px)
     if isinstance(pose, FitFailure):
         return replace(pair, fit=found, pose_failure=pose)
@@ -199,6 +240,15 @@ def pair_record(pair: ImagePair, options: PairOptions, names: tuple[str, str]) -
     }
 
 
+def keypoint_record(pair: ImagePair) -> dict[str, Any]:
+    """What `--keypoints` adds: pixels of both images, rows of the matches in them, inliers."""
+    return {
+        "keypoints_px": [np.round(each.xy, 3).tolist() for each in pair.keypoints],
+        "matched_keypoints": pair.matched_rows.tolist(),
+        "is_inlier": pair.inlier.tolist(),
+    }
+
+
 def _chance(pair: ImagePair) -> dict[str, int] | None:
     fit = pair.fit if pair.failure is None else pair.failure.refused
     return None if fit is None else fit.evidence._asdict()
@@ -223,4 +273,6 @@ def _pose(pose: RelativePose) -> dict[str, Any]:
         "alternative": None if pose.alternative is None else pose.alternative.tolist(),
         "in_front": pose.in_front,
         "parallax_deg": pose.parallax_deg,
+        "is_metric": pose.is_metric,
+        "depth_m": pose.depth_m,
     }

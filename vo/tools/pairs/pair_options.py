@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypedDict, get_args
 
 import numpy as np
@@ -9,9 +10,11 @@ import numpy as np
 from vo.base.config import Config, MatchingName
 from vo.base.errors import CalibrationError, ConfigError
 from vo.base.images.given_images import shown
+from vo.base.images.image_areas import split_cameras
 from vo.base.settings import nearest, validate
-from vo.base.types import Bytes, Camera, Rig
+from vo.base.types import Bytes, Camera, Floats, Rig
 from vo.engine.frontend.static_masks import recorded_masks
+from vo.recordings.sources.single_image import SingleImage
 from vo.tools.pairs.image_pair import ModelName, PairOptions
 from vo.tools.pairs.two_view_records import FitOptions, RobustMethod
 
@@ -33,11 +36,15 @@ class PairChoices(TypedDict, total=False):
 
 
 def pair_options(
-    config: Config, choices: PairChoices, cameras: tuple[Camera, Camera] | None
+    config: Config,
+    choices: PairChoices,
+    cameras: tuple[Camera, Camera] | None,
+    baseline: Floats | None = None,
 ) -> PairOptions:
     """The options for `match_images`.
 
     `config`: settings, changed by the choices. `cameras`: of both images, None if they are unknown.
+    `baseline`: second_from_first (4, 4) of a calibrated pair.
 
     Raises:
         ConfigError: a choice is unknown or out of range.
@@ -74,6 +81,7 @@ def pair_options(
         model,  # type: ignore[arg-type]
         FitOptions(method, float(threshold_px), seed=config.seed),  # type: ignore[arg-type]
         cameras,
+        baseline,
     )
 
 
@@ -101,6 +109,20 @@ def pair_cameras(
     return rig.cam0, rig.cam1
 
 
+def pair_baseline(
+    rig: Rig | None, images: tuple[SingleImage, SingleImage], *, right: bool
+) -> Floats | None:
+    """second_from_first (4, 4) of a left and a right image; None if it is not known.
+
+    `rig`: of a calibration that was given. Frames of a recording at different times have none.
+    """
+    first, second = images
+    rig = second.rig if rig is None else rig
+    if not right or rig is None or first.frame != second.frame:
+        return None
+    return rig.cam1_from_cam0
+
+
 def pair_masks(
     config: Config, images: tuple[Bytes, Bytes], *, right: bool
 ) -> tuple[Bytes | None, Bytes | None]:
@@ -112,10 +134,41 @@ def pair_masks(
     Raises:
         ConfigError: a mask is missing, damaged or of another size, or nothing is left.
     """
+    if not right:
+        return image_mask(config, images[0]), image_mask(config, images[1])
     first, second = (_any_camera(image) for image in images)
-    of_first = recorded_masks(config.masks, Rig(first))[0]
-    rig = Rig(first, second, np.eye(4)) if right else Rig(second)
-    return of_first, recorded_masks(config.masks, rig)[-1]
+    of_second = recorded_masks(config.masks, Rig(first, second, np.eye(4)))[1]
+    return image_mask(config, images[0]), of_second
+
+
+def image_mask(config: Config, image: Bytes) -> Bytes | None:
+    """The mask (H, W) that the settings give for an image of the left camera, None without one."""
+    return recorded_masks(config.masks, Rig(_any_camera(image)))[0]
+
+
+def region_masks(
+    masks: tuple[Bytes | None, Bytes | None],
+    images: tuple[Bytes, Bytes],
+    regions: tuple[Sequence[str], Sequence[str]],
+) -> tuple[Bytes | None, Bytes | None]:
+    """The masks (H, W) that also leave out what is outside of the regions of each image.
+
+    Raises:
+        ConfigError: a region is no area, or outside of its image.
+    """
+
+    def limited(mask: Bytes | None, image: Bytes, texts: Sequence[str]) -> Bytes | None:
+        if not texts:
+            return mask
+        for text in texts:
+            if split_cameras(text)[0] is not None:
+                raise ConfigError(f"'{text}' names a camera; the region is of one image, without")
+        config = validate(Config, {"masks": {"roi": texts}}, "the region")
+        region = image_mask(config, image)
+        return region if mask is None or region is None else np.minimum(mask, region)
+
+    one, other = map(limited, masks, images, regions)
+    return one, other
 
 
 def _any_camera(image: Bytes) -> Camera:

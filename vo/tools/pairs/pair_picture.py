@@ -17,18 +17,25 @@ from vo.tools.pairs.two_view_records import ModelKind
 
 _MAX_WIDTH = 2400  # of the picture; larger images are reduced
 _GAP = 8
-_FEATURE, _INLIER, _OUTLIER = (170, 170, 170), (80, 220, 60), (60, 60, 240)  # BGR
+# BGR, of Okabe and Ito's palette, which colour-blind readers can tell apart.
+_FEATURE, _INLIER, _OUTLIER = (170, 170, 170), (233, 180, 86), (0, 94, 213)
 _LINES = 16  # epipolar lines of each image
 _STEPS = 400  # points along an epipolar line, which a lens bends
 
 
 def write_pair_picture(
-    path: Path, images: tuple[Bytes, Bytes], pair: ImagePair, *, epipolar: bool = False
+    path: Path,
+    images: tuple[Bytes, Bytes],
+    pair: ImagePair,
+    *,
+    epipolar: bool = False,
+    best: int | None = None,
 ) -> None:
-    """Draw both images side by side: features grey, inliers green, other matches red.
+    """Draw both images side by side: features grey, inliers blue, other matches orange.
 
     `path`: PNG or JPEG file. `images`: (H, W) uint8. `epipolar`: draw lines of some inliers in
-    either image, in the colour of their point in the other one.
+    either image, in the colour of their point in the other one. `best`: draw so many matches only,
+    those with the most similar descriptors.
 
     Raises:
         OutputError: the file cannot be written.
@@ -37,7 +44,9 @@ def write_pair_picture(
     canvas = _Canvas(images)
     for side, keypoints in enumerate(pair.keypoints):
         canvas.dots(side, np.asarray(keypoints.xy, dtype=np.float64), _FEATURE, 1)
-    for colour, rows in ((_OUTLIER, ~pair.inlier), (_INLIER, pair.inlier)):
+    drawn = np.zeros(len(pair.inlier), bool)
+    drawn[np.argsort(pair.matches.score, kind="stable")[:best]] = True
+    for colour, rows in ((_OUTLIER, drawn & ~pair.inlier), (_INLIER, drawn & pair.inlier)):
         canvas.connect(pair.first_xy[rows], pair.second_xy[rows], colour)
     if epipolar:
         _draw_lines(canvas, pair)

@@ -33,6 +33,7 @@ _MIN_IN_FRONT = 0.5  # of the inliers
 _MIN_RIVAL = 0.9  # of the points in front for the best motion: one with as many may be the true one
 _REPROJECTION = 3.0  # maximum error of a triangulated point, in thresholds
 _MIN_DECIDING = 8  # matches beside a plane that decide between two motions
+_MIN_CONFIRMED = 0.8  # of the inliers, which the motion of a calibrated pair has to explain too
 _SAME_MOTION = 0.02  # difference of two motions that are the same
 
 
@@ -95,6 +96,32 @@ def relative_pose(
     trials = [_try(motion, inliers, rest, threshold_px) for motion in motions]
     # A homography ties both coordinates of a match, epipolar lines one: its motion is the best one.
     return _choose(trials, inliers, refine=fit.kind is not ModelKind.HOMOGRAPHY)
+
+
+def calibrated_pose(
+    second_from_first: Floats,
+    inliers: tuple[Floats, Floats],
+    matrices: tuple[Floats, Floats],
+    threshold_px: float = 1.5,
+) -> RelativePose | None:
+    """The motion in metres of a calibrated pair of cameras; None if the matches contradict it.
+
+    `inliers`: (N, 2) ideal pixels of both images that a free model explains.
+    """
+    views = _Views(*inliers, matrices)
+    length_m = float(np.linalg.norm(second_from_first[:3, 3]))
+    if length_m == 0.0 or not len(views.first):
+        return None
+    motion = Motion(second_from_first[:3, :3], second_from_first[:3, 3] / length_m)
+    trial = _try(motion, views, views, threshold_px)
+    if trial.others < _MIN_CONFIRMED * len(views.first) or not trial.good.any():
+        return None
+    points, _ = triangulate(second_from_first, *views.rays)
+    parallax = float(np.rad2deg(np.median(trial.angle[trial.good])))
+    depth_m = float(np.median(points[trial.good, 2]))
+    return RelativePose(
+        second_from_first, None, int(trial.good.sum()), parallax, is_metric=True, depth_m=depth_m
+    )
 
 
 def _motions(fit: Fit, inliers: _Views, threshold_px: float) -> list[Motion]:

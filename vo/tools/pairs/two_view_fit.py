@@ -317,7 +317,9 @@ def _refined(
         if not np.isfinite(matrix).all():
             break
         best = matrix
-    return np.asarray(best / np.linalg.norm(best))
+    # The usual scale of a homography, where no pixel at the origin goes to infinity.
+    is_plane = model.kind is ModelKind.HOMOGRAPHY and abs(best[2, 2]) > 1e-9 * abs(best).max()
+    return np.asarray(best / (best[2, 2] if is_plane else np.linalg.norm(best)))
 
 
 _SAMPLE = {ModelKind.FUNDAMENTAL: 7, ModelKind.ESSENTIAL: 5, ModelKind.HOMOGRAPHY: 4}

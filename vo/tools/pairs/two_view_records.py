@@ -74,8 +74,8 @@ class Fit:
     """A model of two images.
 
     Attributes:
-        matrix: (3, 3) of length 1. Fundamental: x2^T F x1 = 0 of homogeneous pixels; essential: the
-            same of rays (x/z, y/z, 1); homography: x2 ~ H x1 of pixels.
+        matrix: (3, 3). Fundamental: x2^T F x1 = 0 of homogeneous pixels, of length 1; essential:
+            the same of rays (x/z, y/z, 1); homography: x2 ~ H x1 of pixels, with H[2, 2] = 1.
         inlier: (N,) the matches that it explains.
         error_px: (N,) Sampson distance of each match, NaN where a pixel is.
         symmetric_px: median over the inliers of the root mean square over both images of the
@@ -118,17 +118,21 @@ class RelativePose:
 
     Attributes:
         second_from_first: (4, 4); the translation has length 1, as its length is unknown, or 0 if
-            the camera only turns or does not move.
+            the camera only turns or does not move; in metres if `is_metric`.
         alternative: (4, 4) another motion that explains the matches as well, as a plane allows two
             (Faugeras and Lustman 1988); None for none.
         in_front: inliers whose point is in front of both cameras.
         parallax_deg: median angle between the rays of these.
+        is_metric: it is that of a calibrated pair of cameras, which the matches confirm.
+        depth_m: then the median depth of the points in the first camera.
     """
 
     second_from_first: Floats
     alternative: Floats | None
     in_front: int
     parallax_deg: float
+    is_metric: bool = False
+    depth_m: float | None = None
 
     @property
     def has_translation(self) -> bool:
