@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import vo
 from vo.base.config import load_config
+from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Estimate, Floats, Snapshot
@@ -23,7 +24,6 @@ from vo.outputs.evaluation.inputs import load_inputs
 from vo.outputs.recorders.exports import Exports
 from vo.recordings.formats.trajectory import read_tum
 from vo.runs.run_recording import run
-from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.runs.scaling.scale_sources import ScaleOptions
 
 FAST = load_config("fast", ["inertial.enabled=false"])

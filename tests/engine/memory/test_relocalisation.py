@@ -20,8 +20,9 @@ from vo.engine.odometry import Odometry
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.exports import Exports
 from vo.outputs.report.entry import Entry
-from vo.outputs.report.plots.paths import draw_paths
+from vo.outputs.report.plots.paths import draw_above
 from vo.outputs.report.run_folder import read_run
+from vo.outputs.report.shown_paths import shown_paths
 from vo.recordings.formats.trajectory import read_tum
 
 BLACK = range(70, 84)
@@ -135,8 +136,8 @@ def test_the_recording_and_the_report_have_one_world_and_a_gap(
 
     run = read_run(joined)
     assert set(run.segment_of(path.stamps_ns).tolist()) == {0}
-    figure = draw_paths([Entry("joined", 0, run)])
-    assert figure is not None
+    (shown,) = shown_paths([Entry("joined", 0, run)])
+    figure = draw_above(shown)
     drawn = np.asarray(figure.axes[0].lines[0].get_xydata())
     assert len(drawn) == len(path) + 1
     assert np.flatnonzero(np.isnan(drawn[:, 0])).tolist() == [first]

@@ -8,12 +8,15 @@ import shutil
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from run_changes import change_summary
 from typer.testing import CliRunner
 
+from vo.base.geometry.geodesy import geodetic_from_enu
+from vo.base.types import Trajectory
 from vo.cli.app import app
 from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
@@ -85,7 +88,17 @@ def test_a_page_contains_the_numbers_of_its_run(
     assert f"memory {summary['peak_rss_mb']:.0f} MB" in page.text
     assert "features.count" in page.text  # changed by `fast`
     assert page.images >= 2
-    for name in ("path", "error_time", "error_distance", "rpe", "uncertainty", "counts", "stages"):
+    for name in (
+        "path",
+        "positions",
+        "angles",
+        "error_time",
+        "error_distance",
+        "rpe",
+        "uncertainty",
+        "counts",
+        "stages",
+    ):
         assert f"plot-{name}" in page.ids
 
 
@@ -94,6 +107,9 @@ def test_a_page_is_self_contained(report_runs: list[Path], tmp_path: Path) -> No
     assert page.loads
     assert all(value.startswith(("#", "data:")) for value in page.loads)
     assert "url(http" not in page.source and "@import" not in page.source
+    assert page.source.count("<script>") == 1
+    addresses = re.findall(r"https?://[^'\"<\s]*", page.source)
+    assert all(each.startswith("http://www.w3.org/") for each in addresses)
     assert [name for name, count in Counter(page.ids).items() if count > 1] == []
     references = set(re.findall(r'(?:url\(|href=")#([^")]+)', page.source))
     assert references <= set(page.ids)
@@ -128,7 +144,8 @@ def test_names_are_escaped(report_runs: list[Path], tmp_path: Path) -> None:
     change_summary(odd, source="<script>alert(2)</script>", warnings=["<b>x</b>"])
     page = page_of(tmp_path, odd, report_runs[1], hidden)
     assert "\u2009_hidden</text>" in page.source
-    assert "<script" not in page.source and "<b>x" not in page.source
+    assert "<script>alert" not in page.source and "<b>x" not in page.source
+    assert page.source.count("<script") == 3  # the page's own, and the data of two views
     assert "<img src=x" not in page.source
     assert odd.name in page.text
 
@@ -156,6 +173,89 @@ def test_runs_of_different_recordings_have_separate_path_figures(
     page = page_of(tmp_path, own_run, other)
     assert {"plot-path_1", "plot-path_2"} <= set(page.ids)
     assert "another/recording" in page.text
+
+
+def views_of(page: Page) -> list[Any]:
+    """Data of the 3D views."""
+    found = re.findall(r'<script type="application/json">(.*?)</script>', page.source)
+    return [json.loads(text) for text in found]
+
+
+def test_the_view_has_the_values_of_the_run(
+    report_runs: list[Path], synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    page = page_of(tmp_path, *report_runs, "--no-images")
+    (view,) = views_of(page)
+    assert [run["name"] for run in view["runs"]] == ["stereo", "mono"]
+    for folder, run in zip(report_runs, view["runs"], strict=True):
+        inputs = load_inputs(folder, synthetic_stereo / "groundtruth.tum")
+        found = evaluate(inputs.estimate, inputs.reference, mode=inputs.mode)
+        aligned = found.alignment.reference_from_estimate.transform_poses(
+            read_run(folder).trajectory.world_from_cam
+        )[:, :3, 3]
+        shown = np.array(run["points"]).reshape(-1, 3)
+        columns = [view["names"].index(name) for name in "xyz" if name in view["names"]]
+        known = [axis for axis, name in enumerate("xyz") if name in view["names"]]
+        assert np.allclose(shown[:, columns], aligned[:, known], atol=1e-4)
+        errors = [each for each in run["error"] if each is not None]
+        assert np.allclose(errors, found.ate.translation_m, atol=1e-5)
+        steps = np.linalg.norm(np.diff(aligned, axis=0), axis=1) / np.diff(run["time"])
+        assert run["speed"][5] == pytest.approx(0.5 * (steps[4] + steps[5]), rel=1e-2)
+    sigmas = read_run(report_runs[0]).sigmas
+    assert sigmas is not None
+    row = view["runs"][0]["frame"].index(int(read_run(report_runs[0]).frames.frame[0]))
+    assert view["runs"][0]["sigma"][row] == pytest.approx(sigmas.position[0], abs=1e-5)
+
+
+def test_every_picture_has_a_text(report_runs: list[Path], tmp_path: Path) -> None:
+    source = page_of(tmp_path, report_runs[0]).source
+    for picture in re.findall(r"<svg.*?</svg>", source, re.DOTALL):
+        assert re.search(r"<title>[^<]{20,}</title>", picture)
+    assert all(len(text) > 10 for text in re.findall(r'<img [^>]*alt="([^"]*)"', source))
+    (text,) = re.findall(r'<canvas[^>]* aria-label="([^"]*)"', source)
+    assert text.startswith("Camera path in 3D. stereo: extent ") and "error " in text
+
+
+def test_a_long_path_is_thinned_and_says_so(own_run: Path, tmp_path: Path) -> None:
+    count = 40_000
+    rng = np.random.default_rng(1)
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    poses[:, :3, 3] = np.cumsum(rng.normal(0.02, 0.05, (count, 3)), axis=0)
+    stamps = np.arange(count) * 50_000_000
+    write_tum(own_run / "trajectory.tum", Trajectory(stamps, poses))
+    head, row = (own_run / "frames.csv").read_text().splitlines()[:2]
+    tail = row.split(",", 2)[2]
+    rows = [f"{n},{stamp},{tail}" for n, stamp in enumerate(stamps.tolist())]
+    (own_run / "frames.csv").write_text("\n".join([head, *rows, ""]))
+    (own_run / "covariance.csv").unlink()
+    change_summary(own_run, source="gone", frames=count, tracked=count, segments=[])
+    page = page_of(tmp_path, own_run, "--no-images")
+    assert len(page.source) < 3_000_000
+    assert "Of 40000 poses, 4000 are shown" in page.text
+    (view,) = views_of(page)
+    run = view["runs"][0]
+    assert 3000 < len(run["time"]) <= 4001 and run["frame"][-1] == count - 1
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1) / 0.05
+    assert max(run["speed"]) == pytest.approx(0.5 * (steps[1:] + steps[:-1]).max(), rel=1e-3)
+
+
+def test_a_georeferenced_run_is_shown_on_a_map(own_run: Path, tmp_path: Path) -> None:
+    path = read_tum(own_run / "trajectory.tum")
+    turned = path.positions[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    degrees = geodetic_from_enu(turned, np.array([49.0, 8.4, 110.0]))
+    line = {"type": "LineString", "coordinates": degrees[:, [1, 0, 2]].tolist()}
+    properties = {"segment": 0, "stamps_ns": path.stamps_ns.tolist()}
+    feature = {"type": "Feature", "properties": properties, "geometry": line}
+    text = json.dumps({"type": "FeatureCollection", "features": [feature]})
+    (own_run / "path.geojson").write_text(text, encoding="utf-8")
+    page = page_of(tmp_path, own_run, "--no-images")
+    (view,) = views_of(page)
+    assert view["isMap"] and view["names"] == ["east", "north", "up"]
+    shown = np.array(view["runs"][0]["points"]).reshape(-1, 3)
+    assert np.allclose(shown, turned - turned[0], atol=2e-3)
+    assert len(view["truth"]) > 30 and ">north (m)<" in page.source
+    (own_run / "path.geojson").write_text(text.replace("coordinates", "places"), encoding="utf-8")
+    assert "path.geojson is damaged" in make(own_run, expect=1)
 
 
 def segment_records(
@@ -364,13 +464,14 @@ def test_markers_are_drawn_and_listed(own_run: Path, tmp_path: Path) -> None:
     rows = ["0,7,1.25,0.5,2.125,0,0,0,1,0.0042,9,1,12,1.5", "0,23,-1,0,3,0,0,0,1,0.01,3,4,6,0.9"]
     (own_run / "markers.csv").write_text("\n".join([header, *rows, ""]), encoding="utf-8")
     page = page_of(tmp_path, own_run, "--no-images")
-    (figure,) = re.findall(r'<figure id="plot-markers">.*?</figure>', page.source, re.DOTALL)
+    (figure,) = re.findall(r'<figure id="plot-path">.*?</figure>', page.source, re.DOTALL)
     assert ">7<" in figure and ">23<" in figure
+    assert [name for name, *_ in views_of(page)[0]["runs"][0]["markers"]] == ["7", "23"]
     assert "error (sigma) 7 0 1.250 0.500 2.125 4.20 9 1 to 12 1.50" in page.text
     assert "23 0 -1.000 0.000 3.000 10.0 3 4 to 6 0.900" in page.text
     (own_run / "markers.csv").write_text("\n".join([header, "0,7,x", ""]), encoding="utf-8")
     assert "markers.csv is damaged" in make(own_run, expect=1)
 
 
-def test_a_run_without_markers_has_no_section_of_them(own_run: Path, tmp_path: Path) -> None:
+def test_a_run_without_markers_has_no_table_of_them(own_run: Path, tmp_path: Path) -> None:
     assert "Markers" not in page_of(tmp_path, own_run, "--no-images").text

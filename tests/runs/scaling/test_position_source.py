@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from vo.base.errors import SourceError
+from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.geometry.transforms import so3_exp
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats, Trajectory
-from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.runs.scaling.georeference import write_georeference
 from vo.runs.scaling.position_source import PositionSource
 from vo.runs.scaling.positions import Positions

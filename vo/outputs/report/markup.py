@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import html
 import io
+import json
+import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from vo.base.printable import printable
 from vo.outputs.report.plots import style
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-import math
 
 
 class Markup(str):
@@ -58,6 +62,8 @@ COLOURS = {
 }
 """CSS variables of the page, by colours of the figures."""
 
+_PATH = re.compile(r' d="[^"]*"')
+_DIGITS = re.compile(r"(\.\d\d)\d+")  # more than a hundredth of a point is not visible
 _FONT = re.compile(r"font: ([0-9.]+px) [^;\"]*")
 _REFERENCE = re.compile(r'(\bid="|url\(#|href="#)')
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -71,6 +77,7 @@ def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
     """
     import matplotlib
 
+    curves = _name_curves(figure)
     stream = io.StringIO()
     with style.drawing(), matplotlib.rc_context({"svg.hashsalt": prefix}):
         figure.savefig(stream, format="svg", transparent=True, metadata=_NO_METADATA)
@@ -81,13 +88,50 @@ def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
     assert view_box is not None
     rest = re.sub(r"<metadata>.*?</metadata>", "", rest, flags=re.DOTALL)
     rest = _REFERENCE.sub(lambda match: f"{match[1]}{prefix}-", rest)
+    rest = _PATH.sub(lambda match: _DIGITS.sub(r"\1", match[0]), rest)
     rest = _FONT.sub(lambda match: f"font-size: {match[1]}", rest)
     for colour, name in COLOURS.items():
         rest = rest.replace(colour, f"var(--{name})")
     inside = rest[: rest.rindex("</svg>")]
     attributes = f'viewBox="{view_box[1]}" role="img" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    width, height = (float(value) for value in view_box[1].split()[2:])
+    known = [_hover(axes, names, width, height) for axes, names in curves if names]
+    if known:
+        attributes += f' data-prefix="{prefix}" data-curves="{html.escape(json.dumps(known))}"'
     title = element("title", caption)
     return Markup(f"<svg {attributes}>{title}{inside}</svg>")
+
+
+def _name_curves(figure: Figure) -> list[tuple[Axes, list[list[str]]]]:
+    """Give each curve over an increasing abscissa an id: axes, and id and label of each."""
+    found = []
+    for number, axes in enumerate(figure.axes):
+        names = []
+        for row, line in enumerate(axes.lines):
+            x = np.asarray(line.get_xdata(), dtype=np.float64)
+            steps = np.diff(x[np.isfinite(x)])
+            if len(steps) > 2 and (steps >= 0).all() and line.get_transform() == axes.transData:
+                line.set_gid(f"curve-{number}-{row}")
+                label = str(line.get_label())
+                names.append([str(line.get_gid()), "" if label.startswith("_") else label])
+        found.append((axes, names))
+    return found
+
+
+def _hover(axes: Axes, names: list[list[str]], width: float, height: float) -> dict[str, Any]:
+    """What a script needs to read values off the curves of a drawn figure."""
+    box = axes.get_position()
+    shared = axes.get_shared_x_axes().get_siblings(axes)
+    label = next((each.get_xlabel() for each in shared if each.get_xlabel()), "")
+    edges = [box.x0 * width, (1.0 - box.y1) * height, box.width * width, box.height * height]
+    return {
+        "box": [round(float(value), 2) for value in edges],
+        "x": [float(value) for value in axes.get_xlim()],
+        "y": [float(value) for value in axes.get_ylim()],
+        "log": axes.get_xscale() == "log",
+        "labels": [label, axes.get_ylabel()],
+        "curves": [[name, printable(text)] for name, text in names],
+    }
 
 
 _LENGTH_UNITS = ((1.0, "m", 1.0), (1e-2, "cm", 1e2), (0.0, "mm", 1e3))

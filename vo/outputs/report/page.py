@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -12,11 +14,14 @@ from vo.outputs.report import sections
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.markup import Markup, element, join
 from vo.outputs.report.plots.catalogue import Plot
+from vo.outputs.report.shown_paths import shown_paths
+from vo.outputs.report.view import view
 
-_ERRORS = ("error_time", "error_distance", "rpe", "drift")
+_ERRORS = ("error_time", "error_distance", "rpe", "drift", "uncertainty")
 _DOCTYPE = "<!doctype html>"
 # Forbids loading anything, even if a file name contained HTML.
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+# The only script is the one of this folder, known by its hash.
+_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; script-src 'sha256-{}'"
 
 
 def make_page(entries: Sequence[Entry], plots: Sequence[Plot]) -> str:
@@ -28,15 +33,34 @@ def make_page(entries: Sequence[Entry], plots: Sequence[Plot]) -> str:
         element("header", element("h1", title)),
         *(sections.run_header(entry, is_comparison) for entry in entries),
         *([sections.comparison(entries)] if is_comparison else []),
-        sections.plot_section("Path", [plot for plot in plots if plot.name.startswith("path")]),
-        sections.plot_section("Errors", _named(plots, *_ERRORS)),
-        sections.plot_section("Uncertainty", _named(plots, "uncertainty")),
+        *_paths(entries, plots),
+        sections.plot_section("Errors and uncertainty", _named(plots, *_ERRORS)),
         sections.plot_section("Tracking and time", _named(plots, "inliers", "times")),
         *(_run_sections(entry, plots, is_comparison) for entry in entries),
         sections.settings(entries),
         element("section", element("h2", "Details"), *_details(entries)),
     ]
     return document(f"{title}: {names}", join(*parts))
+
+
+def _paths(entries: Sequence[Entry], plots: Sequence[Plot]) -> list[Markup]:
+    """A section for each recording: the 3D view, the figures that replace it, and poses."""
+    groups = shown_paths(entries)
+    found = []
+    for number, shown in enumerate(groups, start=1):
+        suffix, source = (f"_{number}", f", {shown.source}") if len(groups) > 1 else ("", "")
+        flat = _named(plots, f"path{suffix}", f"path_side{suffix}")
+        over_time = _named(plots, f"positions{suffix}", f"angles{suffix}")
+        found.append(
+            element(
+                "section",
+                element("h2", f"Path{source}"),
+                view(shown),
+                sections.figures(flat, "plots flat"),
+                sections.figures(over_time),
+            )
+        )
+    return found
 
 
 def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
@@ -46,13 +70,8 @@ def _named(plots: Sequence[Plot], *names: str) -> list[Plot]:
 def _run_sections(entry: Entry, plots: Sequence[Plot], is_comparison: bool) -> Markup:
     own = [plot for plot in plots if plot.run == entry.number]
     name = f", {entry.name}" if is_comparison else ""
-    loops = [plot for plot in own if plot.name.startswith("loops")]
-    markers = [plot for plot in own if plot.name.startswith("markers")]
-    others = [plot for plot in own if plot not in (*loops, *markers)]
     return join(
-        sections.plot_section(f"Loops{name}", loops),
-        sections.plot_section(f"Markers{name}", markers),
-        sections.plot_section(f"Tracking and time{name}", others),
+        sections.plot_section(f"Tracking and time{name}", own),
         sections.image_section(entry, f"Images{name}"),
     )
 
@@ -74,17 +93,23 @@ def _details(entries: Sequence[Entry]) -> list[Markup]:
 
 def document(title: str, body: Markup) -> str:
     """A whole HTML page that loads nothing."""
-    style = files("vo.outputs.report").joinpath("page.css").read_text(encoding="utf-8")
+    style, script = (
+        files("vo.outputs.report").joinpath(name).read_text(encoding="utf-8")
+        for name in ("page.css", "page.js")
+    )
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = _POLICY.format(digest)
     head = join(
         Markup('<meta charset="utf-8">'),
         Markup('<meta name="viewport" content="width=device-width, initial-scale=1">'),
         Markup('<meta name="color-scheme" content="light dark">'),
-        Markup(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'),
+        Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}">'),
         Markup('<link rel="icon" href="data:,">'),
         element("title", title),
         element("style", Markup(style)),
     )
-    page = join(element("head", head), element("body", element("main", body)))
+    code = Markup(f"<script>{script}</script>")
+    page = join(element("head", head), element("body", element("main", body), code))
     return f'{_DOCTYPE}\n<html lang="en">{page}</html>\n'
 
 

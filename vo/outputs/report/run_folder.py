@@ -24,6 +24,7 @@ _log = logging.getLogger(__name__)
 _PARTIAL = ".partial"  # of a run that was killed
 _STAGE_SUFFIX = "_ms"
 _MAX_MS = 1e12
+_TANGENT = ("rx", "ry", "rz", "tx", "ty", "tz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +50,17 @@ class Sigmas:
 
     stamp_ns: Ints
     segment: Ints
-    position: Floats
-    rotation_deg: Floats
+    covariance: Floats  # (K, 6, 6) of rotation (rad) and position, in the frame of the camera
+
+    @property
+    def position(self) -> Floats:
+        """Square root of the trace of the block of the position."""
+        return np.asarray(np.sqrt(np.trace(self.covariance[:, 3:, 3:], axis1=1, axis2=2)))
+
+    @property
+    def rotation_deg(self) -> Floats:
+        """Square root of the trace of the block of the rotation."""
+        return np.asarray(np.rad2deg(np.sqrt(np.trace(self.covariance[:, :3, :3], 0, 1, 2))))
 
 
 class MappedMarker(NamedTuple):
@@ -231,20 +241,19 @@ def _markers(path: Path) -> tuple[MappedMarker, ...]:
 
 
 def _sigmas(path: Path) -> Sigmas | None:
-    """Square roots of the traces of the 3x3 blocks of rotation and translation."""
     try:
         known = [row for row in _rows(path) if row["c_rx_rx"]]
         if not known:
             return None
-        rotation, position = (
-            np.array([[float(row[f"c_{axis}_{axis}"]) for axis in axes] for row in known])
-            for axes in (("rx", "ry", "rz"), ("tx", "ty", "tz"))
-        )
         stamps, segments = (
             np.array([int(row[name]) for row in known], dtype=np.int64)
             for name in ("stamp_ns", "segment")
         )
+        first, second = np.triu_indices(6)
+        names = [f"c_{_TANGENT[i]}_{_TANGENT[j]}" for i, j in zip(first, second, strict=True)]
+        covariance = np.zeros((len(known), 6, 6))
+        covariance[:, first, second] = [[float(row[name]) for name in names] for row in known]
+        covariance[:, second, first] = covariance[:, first, second]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
-    rotation_rad = np.sqrt(rotation.sum(axis=1))
-    return Sigmas(stamps, segments, np.sqrt(position.sum(axis=1)), np.rad2deg(rotation_rad))
+    return Sigmas(stamps, segments, covariance)

@@ -176,14 +176,17 @@ def _cell(value: str, meaning: str) -> Markup:
 
 def plot_section(title: str, plots: Sequence[Plot]) -> Markup:
     """Figures under a heading; empty without figures."""
-    if not plots:
-        return Markup()
-    parts = [element("h2", title)]
+    return element("section", element("h2", title), figures(plots)) if plots else Markup()
+
+
+def figures(plots: Sequence[Plot], class_: str = "plots") -> Markup:
+    """Figures beside each other, or one below the other on a narrow screen."""
+    found = []
     for plot in plots:
         picture = inline_svg(plot.figure, plot.name.replace("_", "-"), plot.caption)
         caption = element("figcaption", plot.caption)
-        parts.append(element("figure", picture, caption, id=f"plot-{plot.name}"))
-    return element("section", *parts)
+        found.append(element("figure", picture, caption, id=f"plot-{plot.name}"))
+    return element("div", *found, class_=class_)
 
 
 def image_section(entry: Entry, title: str) -> Markup:
@@ -200,7 +203,7 @@ def _thumbnail(thumbnail: Thumbnail) -> Markup:
     source = "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
     height, width = thumbnail.image.shape
     caption = f"{thumbnail.event}: frame {thumbnail.frame}, {thumbnail.seconds:.1f} s"
-    image = Markup(f'<img src="{source}" width="{width}" height="{height}" alt="">')
+    image = Markup(f'<img src="{source}" width="{width}" height="{height}" alt="{caption}">')
     return element("figure", image, element("figcaption", caption))
 
 

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.types import Floats, Ints
 from vo.runs.scaling.fit import PositionFit
-from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.runs.scaling.positions import Positions
 from vo.runs.scaling.timed_fit import fit_in_time
 

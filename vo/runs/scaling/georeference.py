@@ -9,9 +9,9 @@ from xml.sax.saxutils import escape
 import numpy as np
 
 from vo.base.errors import OutputError
+from vo.base.geometry.geodesy import geodetic_from_enu
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats
-from vo.runs.scaling.geodesy import geodetic_from_enu
 from vo.runs.scaling.position_source import PositionSource
 
 GEOJSON, KML = "path.geojson", "path.kml"

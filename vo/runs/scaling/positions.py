@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from vo.base.errors import SourceError
+from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.types import Floats, Ints
 from vo.recordings.formats.foreign_files import foreign_message
 from vo.recordings.formats.messages import PathMessage, PoseMessage, PositionFixMessage
@@ -21,7 +22,6 @@ from vo.recordings.sources.logs.poses import poses_on_topic
 from vo.recordings.sources.logs.stamps import message_stamps
 from vo.recordings.sources.oxts import read_oxts_positions
 from vo.recordings.sources.registry import FORMATS, detect_format, open_container
-from vo.runs.scaling.geodesy import enu_from_geodetic, geodetic_from_enu
 
 _log = logging.getLogger(__name__)
 AUTO = "auto"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.plots import errors, paths, style, tracking
+from vo.outputs.report.shown_paths import shown_paths
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +22,20 @@ class Plot(NamedTuple):
     run: int | None = None
 
 
-_PATH = "Camera path from above and from the side"
+_PATHS = (
+    ("path", "Camera path from above", paths.draw_above),
+    ("path_side", "Camera path from the side", paths.draw_side),
+    (
+        "positions",
+        "Coordinates over time; the band is two standard deviations wide on each side",
+        paths.draw_positions,
+    ),
+    (
+        "angles",
+        "Heading (clockwise from above), pitch (upwards) and roll (to the right) over time",
+        paths.draw_angles,
+    ),
+)
 _ALL_RUNS = (
     (
         "error_time",
@@ -50,15 +64,7 @@ _COMPARISONS = (
     ("inliers", "Inliers over time.", tracking.draw_inliers),
     ("times", "Cumulative distribution of the wall time per frame.", tracking.draw_total_times),
 )
-_LOOPS = (
-    "loops",
-    "The path from above, before and after loops were closed, and the keyframes that each loop "
-    "connects.",
-    paths.draw_loops,
-)
 _SINGLE_RUN = (
-    _LOOPS,
-    ("markers", "The markers and the path from above.", paths.draw_markers),
     (
         "counts",
         "Matched landmarks, and inliers among them, over time.",
@@ -89,14 +95,9 @@ def draw_all(entries: Sequence[Entry]) -> Iterator[Plot]:
 
 
 def _paths(entries: Sequence[Entry]) -> Iterator[Plot]:
-    """One figure for the runs of each recording, which have a common world frame."""
-    sources = list(dict.fromkeys(str(entry.run.summary["source"]) for entry in entries))
-    for number, source in enumerate(sources, start=1):
-        together = [entry for entry in entries if str(entry.run.summary["source"]) == source]
-        figure = paths.draw_paths(together)
-        if figure is None:
-            continue
-        if len(sources) == 1:
-            yield Plot("path", f"{_PATH}.", figure)
-        else:
-            yield Plot(f"path_{number}", f"{_PATH}, {source}.", figure)
+    """Figures for the runs of each recording, which have a common world frame."""
+    groups = shown_paths(entries)
+    for number, shown in enumerate(groups, start=1):
+        suffix, source = (f"_{number}", f", {shown.source}") if len(groups) > 1 else ("", "")
+        for name, caption, draw in _PATHS:
+            yield Plot(name + suffix, f"{caption}{source}.", draw(shown))

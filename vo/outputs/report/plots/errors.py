@@ -12,7 +12,7 @@ from vo.outputs.evaluation.evaluation import Evaluation
 from vo.outputs.evaluation.pose_errors import PoseErrors, path_distances
 from vo.outputs.report.entry import Entry, gaps
 from vo.outputs.report.markup import length_scale
-from vo.outputs.report.plots.style import INK, broken, colour, dash, new_figure, shade, thin
+from vo.outputs.report.plots.style import INK, broken, colour, dash, legend, new_figure, shade, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,7 +39,7 @@ def draw_errors_over_distance(entries: Sequence[Entry]) -> Figure | None:
 def _draw_errors(runs: list[Evaluated], by: Literal["time", "distance"]) -> Figure | None:
     if not runs:
         return None
-    figure = new_figure(4.2)
+    figure = new_figure(3.4)
     upper, lower = figure.subplots(2, 1, sharex=True)
     shown = [(entry, each) for entry, e in runs for each in (e, *entry.others)]
     if by == "distance":
@@ -58,7 +58,10 @@ def _draw_errors(runs: list[Evaluated], by: Literal["time", "distance"]) -> Figu
             shade(axes, runs[0][0].without_pose_s)
     upper.set(title=f"Error over {by}", ylabel=f"position ({unit})")
     lower.set(ylabel="rotation (°)", xlabel="time (s)" if by == "time" else "travelled (m)")
-    _finish(figure, (upper, lower), len(runs) > 1 or bool(upper.patches))
+    for axes in (upper, lower):
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+    legend(figure, upper)
     return figure
 
 
@@ -79,15 +82,6 @@ def rotation_errors(evaluation: Evaluation) -> Floats:
     return evaluation.ate.rotation_deg
 
 
-def _finish(figure: Figure, both: Sequence[Axes], with_legend: bool) -> None:
-    for axes in both:
-        axes.set_ylim(bottom=0.0)
-        axes.margins(x=0.01)
-    if with_legend:
-        handles, labels = both[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
-
-
 def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
     """Cumulative distributions of the relative errors."""
     runs = evaluated(entries)
@@ -95,7 +89,7 @@ def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
     rows = [row for row in rows if row[1]]
     if not rows:
         return None
-    figure = new_figure(0.6 + 2.6 * len(rows))
+    figure = new_figure(0.5 + 1.9 * len(rows))
     grid = np.atleast_2d(figure.subplots(len(rows), 2, sharey=True))
     for axes, (title, errors) in zip(grid, rows, strict=True):
         factor, unit = _scale([each for _, each in errors])
@@ -106,9 +100,7 @@ def draw_relative_errors(entries: Sequence[Entry]) -> Figure | None:
             _cumulative(axes[1], each.rotation_deg, style)
         axes[0].set(title=title, xlabel=f"error of translation ({unit})", ylabel="steps (%)")
         axes[1].set(xlabel="error of rotation (°)")
-    if len(runs) > 1:
-        handles, labels = grid[0][0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    legend(figure, grid[0][0])
     return figure
 
 
@@ -157,6 +149,5 @@ def draw_drift(entries: Sequence[Entry]) -> Figure | None:
         axes.set(xlabel="length (m)")
         axes.set_ylim(bottom=0.0)
         axes.set_xlim(left=0.0)
-    if len(runs) > 1:
-        figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
+    legend(figure, left)
     return figure

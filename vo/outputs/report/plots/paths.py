@@ -1,196 +1,177 @@
-"""The path from above and from the side, with its loops and markers."""
+"""The path from above and from the side, with its loops and markers, and its poses over time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vo.base.geometry.transforms import inverse
-from vo.base.types import Floats, Ints, Trajectory
-from vo.outputs.evaluation.plots import axes_from_above
-from vo.outputs.report.entry import Entry, gaps
-from vo.outputs.report.plots.style import INK, MUTED, colour, dash, new_figure
+from vo.base.types import Floats
+from vo.outputs.report.plots.style import (
+    INK,
+    MUTED,
+    broken,
+    colour,
+    dash,
+    legend,
+    new_figure,
+    shade,
+    thin,
+)
+from vo.outputs.report.shown_paths import ShownPath, ShownPaths
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _FLAT = 0.12  # height by length below which the side view stretches the height
+_MAX_BAND = 700  # points of a band
 
 
-def draw_paths(entries: Sequence[Entry]) -> Figure | None:
-    """Paths aligned with the ground truth if there is one; None without a path."""
-    entries = [entry for entry in entries if len(entry.run.trajectory)]
-    if not entries:
-        return None
-    evaluated = [entry for entry in entries if entry.evaluation is not None]
-    world = _world(evaluated[0] if evaluated else entries[0])
-    across, up = axes_from_above(world)
-    vertical = 3 - across - up
-    sign = -1.0 if world[:, vertical, 1].mean() > 0 else 1.0  # the camera's y points down
-    along = max((across, up), key=lambda axis: float(np.ptp(world[:, axis, 3])))
-    figure = new_figure(5.2)
-    above, side = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    unit = "m" if evaluated else entries[0].run.unit
-    for axes, x, y, flip in ((above, across, up, 1.0), (side, along, vertical, sign)):
-        _draw(axes, entries, x, y, flip)
-    above.set(
-        title="From above", xlabel=f"{'xyz'[across]} ({unit})", ylabel=f"{'xyz'[up]} ({unit})"
-    )
-    side.set(xlabel=f"{'xyz'[along]} ({unit})", ylabel=f"height ({unit})")
-    above.set_aspect("equal", adjustable="datalim")
-    is_flat = np.ptp(world[:, vertical, 3]) < _FLAT * np.ptp(world[:, along, 3])
-    if not is_flat:
-        side.set_aspect("equal", adjustable="datalim")
-    side.set_title("From the side" + (", height stretched" if is_flat else ""))
-    handles, labels = above.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+def draw_above(shown: ShownPaths) -> Figure:
+    """The paths from above; of a single run with its loops and markers."""
+    figure = new_figure(4.2)
+    axes = figure.subplots()
+    across, up, *_ = shown.axes
+    _draw(axes, shown, across, up, 1.0)
+    if len(shown.paths) == 1:
+        _draw_places(axes, shown.paths[0], [across, up])
+    axes.set_aspect("equal", adjustable="datalim")
+    names = shown.names()
+    axes.set(title="From above", xlabel=f"{names[across]} ({shown.unit})")
+    axes.set(ylabel=f"{names[up]} ({shown.unit})")
+    legend(figure, axes)
     return figure
 
 
-def _world(entry: Entry) -> Floats:
-    """Poses (N, 4, 4) that determine the vertical direction."""
-    if entry.evaluation is not None:
-        return entry.evaluation.matched.reference
-    return entry.run.trajectory.world_from_cam
+def draw_side(shown: ShownPaths) -> Figure:
+    """The paths from the side."""
+    figure = new_figure(4.2)
+    axes = figure.subplots()
+    across, up, vertical, sign = shown.axes
+    extent = np.ptp(np.concatenate([path.positions for path in shown.paths]), axis=0)
+    along = max((across, up), key=lambda axis: float(extent[axis]))
+    _draw(axes, shown, along, vertical, sign)
+    is_flat = extent[vertical] < _FLAT * extent[along]
+    if not is_flat:
+        axes.set_aspect("equal", adjustable="datalim")
+    axes.set(title="From the side" + (", height stretched" if is_flat else ""))
+    axes.set(xlabel=f"{shown.names()[along]} ({shown.unit})", ylabel=f"height ({shown.unit})")
+    legend(figure, axes)
+    return figure
 
 
-def _draw(axes: Axes, entries: Sequence[Entry], x: int, y: int, flip: float) -> None:
-    truth = next((e.truth for e in entries if e.truth is not None and e.evaluation), None)
-    if truth is not None:
-        positions = truth.positions
+def _draw(axes: Axes, shown: ShownPaths, x: int, y: int, flip: float) -> None:
+    if shown.truth is not None:
+        positions = shown.truth.positions
         axes.plot(positions[:, x], flip * positions[:, y], color=MUTED, lw=3.2, alpha=0.45)
         axes.lines[-1].set_label("ground truth")
-    start = None
-    for entry in entries:
-        if truth is not None and entry.evaluation is None:
-            continue  # in a different world frame
-        positions = _positions(entry)
-        name = entry.label if len(entries) > 1 else "estimate"
-        style = {"color": colour(entry.number), "ls": dash(entry.number), "label": name}
+    for path in shown.paths:
+        number = path.entry.number
+        positions = np.insert(path.positions, path.cuts, np.nan, axis=0)
+        name = path.entry.label if len(shown.paths) > 1 else "estimate"
+        style = {"color": colour(number), "ls": dash(number), "label": name}
         axes.plot(positions[:, x], flip * positions[:, y], **style)
-        if start is None:
-            start = positions[np.isfinite(positions).all(axis=1)][0]
-    if start is not None:
-        axes.plot(start[x], flip * start[y], "o", color=INK, ms=6, zorder=5, label="start")
+    ends = np.array([path.positions[[0, -1]] for path in shown.paths])
+    for row, (sign, name) in enumerate((("o", "start"), ("s", "end"))):
+        places = ends[:, row]
+        style = {"color": INK, "ms": 6 - row, "zorder": 5, "label": name, "ls": ""}
+        axes.plot(places[:, x], flip * places[:, y], sign, mfc=INK if not row else "white", **style)
     axes.margins(0.08)
 
 
-def _positions(entry: Entry) -> Floats:
-    """Positions (N, 3), with rows of NaN at gaps and where the world changes."""
-    if entry.evaluation is not None:
-        every = (entry.evaluation, *entry.others)
-        stamps = np.concatenate([each.matched.stamps_ns for each in every])
-        order = np.argsort(stamps)
-        positions = np.concatenate([each.aligned[:, :3, 3] for each in every])[order]
-        stamps = stamps[order]
-    else:
-        positions, stamps = entry.run.trajectory.positions, entry.run.trajectory.stamps_ns
-    cuts = {*gaps(stamps), *(np.flatnonzero(np.diff(entry.run.segment_of(stamps))) + 1).tolist()}
-    return np.insert(positions, sorted(cuts), np.nan, axis=0)
-
-
-def draw_loops(entry: Entry) -> Figure | None:
-    """The path from above with a line for each loop; None without loops."""
-    run = entry.run
-    loops = run.summary.get("loops", ())
-    if not loops or not len(run.trajectory) or run.frames is None:
-        return None
-    across, up = axes_from_above(run.trajectory.world_from_cam)
-    figure = new_figure(5.2)
-    axes = figure.subplots()
-    before = _before(entry)
-    if before is not None:
-        axes.plot(before[:, across], before[:, up], "--", color=MUTED, label="before loops")
-    after = _with_gaps(run.trajectory, run.trajectory.positions)
-    axes.plot(after[:, across], after[:, up], color=colour(0), label="after loops")
-    positions = _Positions(entry)
-    ends = [
-        positions.of([loop["frame"], loop["earlier_frame"]])
-        for loop in loops
-        if loop["kind"] != "session"
-    ]
-    label = "loop"
-    for pair in ends:
-        axes.plot(pair[:, across], pair[:, up], "-o", color=colour(1), ms=3, lw=0.8, label=label)
-        label = "_"
-    found = positions.of([each["frame"] for each in run.summary.get("relocalisations", ())])
+def _draw_places(axes: Axes, path: ShownPath, xy: list[int]) -> None:
+    """The path before loops, a line for each loop, relocalisations and markers with their ids."""
+    loops, found, markers = places_of(path)
+    if len(loops):
+        before = path.before_loops()[:, xy]
+        axes.plot(*before.T, "--", color=MUTED, lw=1.0, zorder=1.5, label="before loops")
+        ends = np.insert(loops, 2, np.nan, axis=1).reshape(-1, 3)[:, xy]
+        axes.plot(*ends.T, "-o", color=colour(1), ms=3, lw=0.8, label="loop")
     if len(found):
-        axes.plot(found[:, across], found[:, up], "*", color=INK, ms=11, label="relocalised")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel=f"{'xyz'[across]} ({run.unit})", ylabel=f"{'xyz'[up]} ({run.unit})")
-    axes.margins(0.08)
-    figure.legend(loc="outside lower center", ncols=4)
+        axes.plot(*found[:, xy].T, "*", color=INK, ms=11, label="relocalised")
+    if markers:
+        places = np.array([place for _, place in markers])[:, xy]
+        axes.plot(*places.T, "D", color=colour(3), ms=5, label="marker")
+        for (text, _), place in zip(markers, places, strict=True):
+            axes.annotate(text, place, (5, 4), textcoords="offset points")
+
+
+def places_of(path: ShownPath) -> tuple[Floats, Floats, list[tuple[str, Floats]]]:
+    """Ends of loops (n, 2, 3), places of relocalisations (m, 3), markers by id."""
+    summary = path.entry.run.summary
+    loops = [each for each in summary.get("loops", ()) if each["kind"] != "session"]
+    ends = np.stack([path.at([each[key] for each in loops]) for key in ("frame", "earlier_frame")])
+    found = path.at([each["frame"] for each in summary.get("relocalisations", ())])
+    markers = [
+        (str(marker.id), path.place(marker.segment, np.array([marker.position]))[0])
+        for marker in path.entry.run.markers
+    ]
+    return (
+        ends.swapaxes(0, 1)[np.isfinite(ends).all(axis=(0, 2))],
+        found[np.isfinite(found).all(axis=1)],
+        [each for each in markers if np.isfinite(each[1]).all()],
+    )
+
+
+def draw_positions(shown: ShownPaths) -> Figure:
+    """Coordinates over time, with bands of two standard deviations."""
+    labels = [f"{name} ({shown.unit})" for name in shown.names()]
+    truth = None if shown.truth is None else shown.truth.positions
+    return _over_time(
+        shown, "Position", labels, [(path.positions, path.sigmas) for path in shown.paths], truth
+    )
+
+
+def draw_angles(shown: ShownPaths) -> Figure:
+    """Heading, pitch and roll of the camera over time, with bands of two standard deviations."""
+    labels = ["heading (°)", "pitch (°)", "roll (°)"]
+    curves = [path.angles(shown.axes) for path in shown.paths]
+    return _over_time(shown, "Orientation of the camera", labels, curves, None)
+
+
+def _over_time(
+    shown: ShownPaths,
+    title: str,
+    labels: Sequence[str],
+    curves: Sequence[tuple[Floats, Floats]],
+    truth: Floats | None,
+) -> Figure:
+    figure = new_figure(4.6)
+    rows = figure.subplots(3, 1, sharex=True)
+    if truth is not None and shown.truth is not None:
+        seconds = shown.paths[0].entry.seconds(shown.truth.stamps_ns)
+        for axes, values in zip(rows, truth.T, strict=True):
+            axes.plot(*thin(seconds, values), color=MUTED, lw=3.2, alpha=0.45, label="ground truth")
+    for path, (values, sigmas) in zip(shown.paths, curves, strict=True):
+        entry, seconds = path.entry, path.entry.seconds(path.stamps_ns)
+        name = entry.label if len(shown.paths) > 1 else "estimate"
+        style = {"color": colour(entry.number), "ls": dash(entry.number), "label": name}
+        for axes, value, sigma in zip(rows, values.T, sigmas.T, strict=True):
+            axes.plot(*broken(*thin(seconds, value), seconds[path.cuts]), **style)
+            for part in _bands(path, sigma):
+                low, high = value[part] - 2.0 * sigma[part], value[part] + 2.0 * sigma[part]
+                axes.fill_between(
+                    seconds[part], low, high, color=colour(entry.number), alpha=0.22, lw=0
+                )
+    if len(shown.paths) == 1:
+        for axes in rows:
+            shade(axes, shown.paths[0].entry.without_pose_s)
+    for axes, label in zip(rows, labels, strict=True):
+        axes.set(ylabel=label)
+        axes.margins(x=0.01)
+    rows[0].set(title=f"{title}, ±2σ")
+    rows[-1].set(xlabel="time (s)")
+    legend(figure, rows[0])
     return figure
 
 
-class _Positions:
-    """Where frames are in the path."""
-
-    def __init__(self, entry: Entry) -> None:
-        assert entry.run.frames is not None
-        self._path = entry.run.trajectory
-        self._frame, self._stamp_ns = entry.run.frames.frame, entry.run.frames.stamp_ns
-
-    def of(self, numbers: list[int]) -> Floats:
-        """(n, 3) by number, NaN for a frame without a pose."""
-        result = np.full((len(numbers), 3), np.nan)
-        frame = np.clip(np.searchsorted(self._frame, numbers), 0, len(self._frame) - 1)
-        stamps = self._stamp_ns[frame]
-        row = np.clip(np.searchsorted(self._path.stamps_ns, stamps), 0, len(self._path) - 1)
-        known = (self._frame[frame] == numbers) & (self._path.stamps_ns[row] == stamps)
-        result[known] = self._path.positions[row[known]]
-        return result
-
-
-def _before(entry: Entry) -> Floats | None:
-    """The path before loops, which begins at the same pose; None where it cannot be compared.
-
-    A run in a loaded map is in the world, and in mono the unit, of the map.
-    """
-    before, after = entry.run.odometry, entry.run.trajectory
-    if not len(before) or "map" in entry.run.summary:
-        return None
-    moved = after.world_from_cam[0] @ inverse(before.world_from_cam[0]) @ before.world_from_cam
-    return _with_gaps(before, moved[:, :3, 3])
-
-
-def _with_gaps(path: Trajectory, positions: Floats) -> Floats:
-    rows: list[int] | Ints = gaps(path.stamps_ns)
-    return np.insert(positions, rows, np.nan, axis=0)
-
-
-def draw_markers(entry: Entry) -> Figure | None:
-    """Each marker with its id, and the path in its world; None without markers."""
-    run = entry.run
-    if not run.markers or not len(run.trajectory):
-        return None
-    worlds = sorted({marker.segment for marker in run.markers})
-    number = run.segment_of(run.trajectory.stamps_ns)
-    of_markers = np.isin(number, worlds)
-    if not of_markers.any():
-        return None
-    across, up = axes_from_above(run.trajectory.world_from_cam[of_markers])
-    figure = new_figure(5.2)
-    axes = figure.subplots()
-    for n, world in enumerate(worlds):
-        rows = number == world
-        positions = run.trajectory.positions[rows]
-        path = np.insert(positions, gaps(run.trajectory.stamps_ns[rows]), np.nan, axis=0)
-        style = {"color": colour(n), "ls": dash(n)}
-        axes.plot(path[:, across], path[:, up], label=f"path, segment {world}", **style)
-    for n, world in enumerate(worlds):
-        markers = [marker for marker in run.markers if marker.segment == world]
-        places: Floats = np.array([marker.position for marker in markers])
-        label = "marker" if n == 0 else "_"
-        axes.plot(places[:, across], places[:, up], "s", color=INK, ms=5, label=label)
-        for marker, place in zip(markers, places, strict=True):
-            at = place[across], place[up]
-            axes.annotate(str(marker.id), at, (5, 4), textcoords="offset points")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel=f"{'xyz'[across]} (m)", ylabel=f"{'xyz'[up]} (m)")
-    axes.margins(0.08)
-    figure.legend(loc="outside lower center", ncols=4)
-    return figure
+def _bands(path: ShownPath, sigma: Floats) -> Iterator[slice]:
+    """Rows of each uninterrupted part with known deviations, thinned."""
+    bounds = [0, *path.cuts, len(sigma)]
+    step = max(len(sigma) // _MAX_BAND, 1)
+    for first, end in zip(bounds[:-1], bounds[1:], strict=True):
+        known = first + np.flatnonzero(np.isfinite(sigma[first:end]))
+        if len(known) > 1:
+            yield slice(int(known[0]), int(known[-1]) + 1, step)

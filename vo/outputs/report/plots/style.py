@@ -23,17 +23,17 @@ INK, MUTED, GRID, LOST = "#1f2328", "#656d77", "#d8dce1", "#f6d9c8"
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f6000")
 DASHES: tuple[Any, ...] = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1, 2)))
 
-WIDTH_IN = 11.0
+WIDTH_IN = 5.2  # two beside each other on a screen, one on a phone or in a column of a paper
 _MAX_POINTS = 3000
 _RC: Any = {
     "font.family": "sans-serif",
-    "font.size": 10.0,
+    "font.size": 9.0,
     "axes.edgecolor": MUTED,
     "axes.labelcolor": INK,
     "axes.titlecolor": INK,
     "axes.titlelocation": "left",
-    "axes.titlesize": 11.0,
-    "axes.labelsize": 10.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -47,8 +47,8 @@ _RC: Any = {
     "ytick.labelcolor": INK,
     "text.color": INK,
     "legend.frameon": False,
-    "legend.fontsize": 10.0,
-    "lines.linewidth": 1.5,
+    "legend.fontsize": 9.0,
+    "lines.linewidth": 1.3,
     "lines.solid_joinstyle": "round",
     "path.simplify": True,
     "text.parse_math": False,  # names may contain dollar signs
@@ -93,6 +93,14 @@ def colour(number: int) -> str:
 def dash(number: int) -> Any:
     """Dash pattern of the run or curve with this number, for print and without colour vision."""
     return DASHES[number % len(DASHES)]
+
+
+def legend(figure: Figure, axes: Axes) -> None:
+    """One legend below the figure, if it says more than the axes do."""
+    handles, labels = axes.get_legend_handles_labels()
+    columns = max(min(60 // max(map(len, labels), default=1), len(labels), 4), 1)
+    if len(labels) > 1:
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def shade(axes: Axes, intervals: Sequence[tuple[float, float]], label: str = "no pose") -> None:

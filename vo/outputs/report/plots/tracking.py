@@ -15,6 +15,7 @@ from vo.outputs.report.plots.style import (
     broken,
     colour,
     dash,
+    legend,
     new_figure,
     shade,
     thin,
@@ -47,8 +48,7 @@ def draw_counts(entry: Entry) -> Figure | None:
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     axes.set(title="Landmarks of the map found in each image", ylabel="count", xlabel="time (s)")
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    legend(figure, axes)
     return figure
 
 
@@ -66,7 +66,7 @@ def draw_inliers(entries: Sequence[Entry]) -> Figure | None:
     axes.set(title="Inliers", ylabel="count", xlabel="time (s)")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
-    figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
+    legend(figure, axes)
     return figure
 
 
@@ -82,7 +82,7 @@ def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
     runs = [(entry, entry.run.sigmas) for entry in entries if entry.run.sigmas is not None]
     if not runs:
         return None
-    figure = new_figure(3.8)
+    figure = new_figure(3.4)
     upper, lower = figure.subplots(2, 1, sharex=True)
     for entry, sigmas in runs:
         number = entry.number
@@ -101,9 +101,7 @@ def draw_uncertainty(entries: Sequence[Entry]) -> Figure | None:
     for axes in (upper, lower):
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.01)
-    if len(runs) > 1 or upper.patches:
-        handles, labels = upper.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4))
+    legend(figure, upper)
     return figure
 
 
@@ -128,8 +126,8 @@ def draw_stages(entry: Entry) -> Figure | None:
     bins = np.array_split(np.arange(len(frames)), min(_MAX_BINS, len(frames)))
     seconds = entry.seconds(frames.stamp_ns)
     middle = np.array([seconds[rows].mean() for rows in bins])
-    figure = new_figure(3.4)
-    over_time, means = figure.subplots(1, 2, width_ratios=(2.2, 1.0))
+    figure = new_figure(4.2)
+    over_time, means = figure.subplots(2, 1, height_ratios=(1.2, 1.0))
     layers = [np.array([values[rows].mean() for rows in bins]) for values in spent.values()]
     over_time.stackplot(middle, *layers, colors=SERIES, step="mid", lw=0)
     # Without the first frame, which takes much longer than the others.
@@ -184,5 +182,5 @@ def draw_total_times(entries: Sequence[Entry]) -> Figure | None:
         which(LogFormatter(minor_thresholds=(1.5, 0.5)))
     axes.set(title="Wall time of a frame", xlabel="ms", ylabel="frames (%)")
     axes.set_ylim(0.0, 102.0)
-    figure.legend(loc="outside lower center", ncols=min(len(runs), 4))
+    legend(figure, axes)
     return figure

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vo.runs.scaling.geodesy import (
+from vo.base.geometry.geodesy import (
     ecef_from_geodetic,
     enu_from_geodetic,
     geodetic_from_ecef,
