@@ -210,3 +210,26 @@ def test_truth_of_the_colour_cameras_of_kitti_is_that_of_info(tmp_path: Path) ->
     write_tum(tmp_path / "estimate.tum", Trajectory(stamps, moved))
     result = vo_eval(tmp_path / "estimate.tum", sequence, "--align", "none", "--json")
     assert json.loads(result.stdout)["ate"]["translation_m"]["max"] < 1e-6
+
+
+def test_two_runs_are_compared(run_folder: Path, walk: Trajectory, truth: Path) -> None:
+    """A mono run beside one in metres: aligned with scale, either way round."""
+    other = run_folder.with_name("stereo")
+    other.mkdir()
+    write_tum(other / "trajectory.tum", walk)
+    segment = {"first_stamp_ns": 0, "last_stamp_ns": 3_000_000_000}
+    later = {"first_stamp_ns": 3_100_000_000, "last_stamp_ns": 4_000_000_000}
+    record = {"mode": "stereo", "length_unit": "m", "segments": [segment, later]}
+    (other / "summary.json").write_text(json.dumps(record), encoding="utf-8")
+    for first, second, scale in ((run_folder, other, 2.0), (other, run_folder, 0.5)):
+        result = vo_eval(first, second, "--json")
+        assert result.exit_code == 0, result.output
+        found = json.loads(result.stdout)
+        assert found["alignment"]["scale"] == pytest.approx(scale, rel=1e-6)
+        assert found["matched"] == 31
+        assert found["ate"]["translation_m"]["rmse"] < 1e-6
+        notes = " ".join(found["notes"])
+        assert "differences, not errors" in notes and "only the longest is evaluated" in notes
+    swapped = vo_eval(truth, other)
+    assert swapped.exit_code == 1
+    assert "give the run first, then the ground truth" in swapped.stderr

@@ -71,7 +71,7 @@ def test_verdict_on_an_interrupted_run(good: Summary) -> None:
 def test_a_fault_that_is_not_handled_makes_a_run_untrusted(good: Summary) -> None:
     kind = FaultKind.REPEATED_IMAGES
     handled = replace(good, faults=(FaultRecord(kind, True, 2, 3, 4, 0.0),))
-    assert handled.verdict == ("good", "complete, with warnings", True)
+    assert handled.verdict == ("caution", "complete, with warnings", True)
     assert handled.warnings == (
         "images repeat the one before while the camera moves, and get no pose: frames 3 to 4; "
         "check the camera driver",

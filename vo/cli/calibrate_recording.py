@@ -40,21 +40,11 @@ def check_outputs(inputs: list[Path], output: Path, picture: Path | None) -> Non
 
 @contextmanager
 def search_progress(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
-    """A callback with the numbers of frames searched and of views; a bar only on a terminal."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    """A callback with the numbers of frames searched and of views."""
+    from vo.cli.progress import counting
 
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=None),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[found]}"),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-        expand=True,
-    ) as bar:
-        task = bar.add_task("searching for the board", total=total, found="")
-        yield lambda done, found: bar.update(task, completed=done, found=counted(found, "view"))
+    with counting(console, "searching for the board", total) as step:
+        yield lambda done, found: step(counted(found, "view"), done)
 
 
 def open_recording(path: Path, request: Request) -> ImageSequence:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+from contextlib import nullcontext
 from typing import Any
 
 import typer
@@ -13,6 +14,7 @@ from vo.cli.blocks import CommandFunction
 from vo.cli.completion import OUTPUT_FORMATS
 from vo.cli.echo import echo
 from vo.cli.flags import speak_as
+from vo.cli.heartbeat import heartbeat
 from vo.cli.help_levels import first_level
 
 _RENAMED = {
@@ -22,6 +24,8 @@ _RENAMED = {
     "report": {"--plots": "--picture"},
     "synth": {"--format": "--to"},
 }
+
+_WITH_LINES = ("run", "batch", "sweep", "view")  # these print lines of their own, or wait
 
 
 class Command(TyperCommand):
@@ -49,8 +53,10 @@ class Command(TyperCommand):
         level = logger.level
         if ctx.params.get("verbose"):
             logger.setLevel(logging.DEBUG)
+        is_silent = ctx.params.get("quiet") or self.name in _WITH_LINES
         try:
-            return super().invoke(ctx)
+            with nullcontext() if is_silent else heartbeat(self.name or ""):
+                return super().invoke(ctx)
         finally:
             logger.setLevel(level)
 

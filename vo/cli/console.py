@@ -13,6 +13,7 @@ from rich.table import Table
 
 from vo.base.printable import printable
 from vo.cli.flags import in_flags
+from vo.cli.heartbeat import said
 
 _ANY_WIDTH = 1000
 
@@ -22,6 +23,7 @@ class SafeConsole(Console):
 
     def print(self, *objects: Any, **options: Any) -> None:
         """Print texts and others, as rich does."""
+        said()
         super().print(*map(in_flags, objects), **options)
 
     def _render_buffer(self, buffer: Iterable[Segment]) -> str:

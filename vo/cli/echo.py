@@ -9,10 +9,12 @@ import typer
 
 from vo.base.printable import printable
 from vo.cli.flags import in_flags
+from vo.cli.heartbeat import said
 
 
 def echo(text: str, *, err: bool = False) -> None:
     """Print a line on standard output, or on standard error."""
+    said()
     typer.echo(printable(in_flags(text)), err=err)
 
 

@@ -34,7 +34,8 @@ def eval_command(
         metavar="ESTIMATE",
     ),
     reference: Path = argument(
-        "Ground truth file, or recording with ground truth.", metavar="TRUTH"
+        "Ground truth file, recording with ground truth, or another run to compare with.",
+        metavar="TRUTH",
     ),
     *,
     align: Align = option(
@@ -105,6 +106,10 @@ def eval_command(
     Evaluate a trajectory file, with results for a script:
 
       vo eval trajectory.tum groundtruth.txt --align sim3 --json
+
+    Compare two runs of a recording:
+
+      vo eval out/fast out/accurate
 
     Evaluate odometry that was recorded in a log:
 

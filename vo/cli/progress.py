@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich import progress as bars
 from rich.console import Console, Group
@@ -17,6 +18,7 @@ from vo.base.failures import describe
 from vo.base.printable import counted
 from vo.base.types import Estimate, State
 from vo.cli.console import standard_error
+from vo.cli.heartbeat import doing
 from vo.runs.progress import NullProgress, Progress
 
 _log = logging.getLogger(__name__)
@@ -122,15 +124,26 @@ def frame_bar(
         def show(done: int, total: int) -> None:
             bar.update(task, description=then or first, completed=done, total=total)
 
-        yield bar, show
+        with doing(lambda: _counted(bar)):
+            yield bar, show
+
+
+def _counted(bar: bars.Progress) -> str:
+    """What a bar shows, in words."""
+    task = bar.tasks[0]
+    title = (task.description or task.fields["title"]).replace("\\[", "[")  # of markup
+    return f"{title} {task.completed:.0f}/{task.total:.0f}" if task.total else title
+
+
+class Step(Protocol):
+    """Called with what a step is about, and with the steps done, if not one more."""
+
+    def __call__(self, name: str, done: int | None = None) -> None: ...  # noqa: D102
 
 
 @contextmanager
-def counting(console: Console, title: str, total: int) -> Iterator[Callable[[str], None]]:
-    """A bar on a terminal; the function that it gives is called with what each step is about."""
-    if not console.is_terminal:
-        yield lambda _: None
-        return
+def counting(console: Console, title: str, total: int) -> Iterator[Step]:
+    """A bar on a terminal; the function that it gives is called at each step."""
     columns = (
         bars.TextColumn("{task.fields[title]}"),
         bars.BarColumn(bar_width=None),
@@ -138,16 +151,20 @@ def counting(console: Console, title: str, total: int) -> Iterator[Callable[[str
         bars.TimeRemainingColumn(compact=True),
         bars.TextColumn("left"),
     )
-    with bars.Progress(*columns, console=console, expand=True, transient=True) as bar:
+    is_hidden = console.quiet or not console.is_terminal
+    with bars.Progress(
+        *columns, console=console, expand=True, transient=True, disable=is_hidden
+    ) as bar:
         task = bar.add_task("", total=total, title=escape(title))
-        done = -1
+        count = -1
 
-        def step(name: str) -> None:
-            nonlocal done
-            done += 1
-            bar.update(task, completed=done, title=escape(f"{title}: {name}"))
+        def step(name: str, done: int | None = None) -> None:
+            nonlocal count
+            count = count + 1 if done is None else done
+            bar.update(task, completed=count, title=escape(f"{title}: {name}"))
 
-        yield step
+        with doing(lambda: _counted(bar)):
+            yield step
 
 
 class _Counts:

@@ -35,6 +35,7 @@ _REFERENCE_NAMES = (
     "pose_lcam_front.txt",
 )
 _SCALED_NOTE = "mono estimate in metres, by the scale in its summary.json: aligned without scale"
+_RUN_NOTE = "the reference is another run: these are differences, not errors"
 _TARTANAIR_NOTE = "ground truth read as TartanAir's: camera axes x forward, y right, z down"
 
 
@@ -75,11 +76,11 @@ def load_inputs(
     """Read an estimate and its reference.
 
     `estimate`: a trajectory file, the folder of a run with `trajectory.tum` and `summary.json`, or
-    a trajectory. `reference`: a trajectory file, the folder of a sequence with its ground truth, or
-    a trajectory. `calibration`: file with the pose of cam0 on the body, for ground truth of the
-    body; by default that of the run, or else the one beside the ground truth. `all_segments`: keep
-    all segments of a run that lost track. Each has its own world frame, so by default only the
-    longest is kept.
+    a trajectory. `reference`: a trajectory file, the folder of a sequence with its ground truth, a
+    trajectory, or the folder of another run, to compare both. `calibration`: file with the pose of
+    cam0 on the body, for ground truth of the body; by default that of the run, or else the one
+    beside the ground truth. `all_segments`: keep all segments of a run that lost track. Each has
+    its own world frame, so by default only the longest is kept.
 
     Raises:
         SourceError: a file is missing or damaged.
@@ -90,6 +91,8 @@ def load_inputs(
         estimate = _read_file(_estimate_file(Path(estimate)))
     summary = _summary_beside(estimate.origin)
     causal_notes = _causal_notes(estimate)
+    if not isinstance(reference, GivenTrajectory) and summary and _is_run(Path(reference)):
+        reference, summary = _other_run(Path(reference), summary)
     if not isinstance(reference, GivenTrajectory):
         reference = _read_reference(
             _reference_file(Path(reference)),
@@ -123,13 +126,30 @@ def _estimate_file(path: Path) -> Path:
     )
 
 
+def _is_run(path: Path) -> bool:
+    return any((path / name).is_file() for name in _ESTIMATE_NAMES)
+
+
+def _other_run(path: Path, summary: dict[str, Any]) -> tuple[GivenTrajectory, dict[str, Any]]:
+    """The longest segment of another run; the summary says `mono` if that run lacks a scale."""
+    read = _read_file(_estimate_file(path))
+    other = _summary_beside(read.origin)
+    _, causal_mode = modes = _modes(other, read.origin)
+    alone = Inputs(read.origin, read.origin, read.trajectory, read.trajectory, modes[0])
+    kept = _with_longest_segment(alone, other)
+    notes = (_RUN_NOTE, *(f"reference: {note}" for note in kept.notes))
+    if modes[0] == causal_mode == "mono":
+        summary = summary | {"mode": "mono", "length_unit": other.get("length_unit")}
+    return replace(read, trajectory=kept.estimate, notes=notes), summary
+
+
 def _reference_file(path: Path) -> Path:
     if not path.is_dir():
         return path
     for name in _REFERENCE_NAMES:
         if (path / name).is_file():
             return path / name
-    if any((path / name).is_file() for name in _ESTIMATE_NAMES):
+    if _is_run(path):
         raise SourceError(
             f"{path} is the output of a run, not ground truth; give the run first, then the ground "
             "truth"

@@ -54,4 +54,6 @@ def assess(facts: VerdictFacts) -> Verdict:
         return Verdict("caution", "unreliable", is_trusted)
     if facts.segments > 1:
         return Verdict("caution", "in separate segments", is_trusted)
-    return Verdict("good", "complete, with warnings" if facts.has_warnings else "complete", True)
+    if facts.has_warnings:
+        return Verdict("caution", "complete, with warnings", is_trusted)
+    return Verdict("good", "complete", is_trusted)
