@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import vo
 from vo.base.types import Camera, Rig
 from vo.cli.app import app
+from vo.tools.markers.detection import MarkerDetector
 
 CAMERA = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
 
@@ -100,7 +101,7 @@ def test_two_markers_of_one_id_and_small_ones_are_told(tmp_path: Path) -> None:
     image = _image(tmp_path / "a.png", 3, 3)
     result = CliRunner().invoke(app, ["markers", str(image)])
     assert "marker 3 is seen more than once in frame 0" in " ".join(result.stderr.split())
-    far = _image(tmp_path / "far.png", 3, distance=9.0, tilt=0.1)
+    far = _image(tmp_path / "far.png", 3, distance=10.5, tilt=0.1)
     result = CliRunner().invoke(app, ["markers", str(far), "--dictionary", "4X4_50"])
     assert result.exit_code == 1
     assert "marker 3 of 4X4_50 is too small" in " ".join(result.stderr.split())
@@ -155,3 +156,76 @@ def test_the_library_finds_the_same(calibration: Path, tmp_path: Path) -> None:
     assert marker.pose.distance_m == pytest.approx(np.hypot(0.1, 1.0), abs=1e-3)
     with pytest.raises(vo.CalibrationError, match="320 x 240"):
         vo.find_markers(np.zeros((240, 320), np.uint8), 0.16, calibration=CAMERA)
+
+
+def test_small_markers_are_found_in_double_size(tmp_path: Path) -> None:
+    """Sides of 12 to 15 pixels, of which the image as it is shows few."""
+    name, found, alone = "APRILTAG_36H11", 0, 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        levels = random_background(rng, (480, 640)).astype(np.float64)
+        for n in range(4):
+            distance = 600.0 * 0.16 / rng.uniform(12.0, 15.0)
+            place = np.array([0.35 * n - 0.5, 0.3 * (n % 2) - 0.15, 1.0]) * distance
+            place[2] = distance
+            pose = looking_at(place, rng.uniform(0.0, 0.5), rng.uniform(0.0, 6.0), 0.1)
+            levels = render(CAMERA, Placed(name, n, 0.16, pose), levels.astype(np.uint8))
+        image = developed(levels, rng)
+        found += sum(each.id < 4 for each in vo.find_markers(image, dictionary="tag36h11"))
+        alone += len(MarkerDetector(name).detect(image))
+        assert all(each.id < 4 for each in vo.find_markers(image, dictionary="tag36h11"))
+        if seed == 0:
+            assert {each.id for each in vo.find_markers(image)} <= set(range(4))
+    assert found >= 14 and alone <= 6, (found, alone)
+
+
+def test_a_body_of_markers_has_one_pose(tmp_path: Path, calibration: Path) -> None:
+    """A cube of 0.2 m, of which the camera sees the sides +z (id 0) and +x (id 1)."""
+    body = tmp_path / "cube.yaml"
+    body.write_text(
+        "length_m: 0.16\ndictionary: 4X4_50\nmarkers:\n"
+        "  - {id: 0, position: [0, 0, 0.1], quat_xyzw: [0, 0, 0, 1]}\n"
+        "  - {id: 1, position: [0.1, 0, 0], quat_xyzw: [0, 0.70710678, 0, 0.70710678]}\n",
+        encoding="utf-8",
+    )
+    cam_from_body = looking_at(np.array([0.05, 0.02, 1.0]), 0.7, -1.5708, 0.0)
+    rng = np.random.default_rng(2)
+    levels = random_background(rng, (480, 640)).astype(np.float64)
+    front, side = np.eye(4), np.eye(4)
+    front[2, 3], side[0, 3] = 0.1, 0.1
+    side[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    for number, at in ((0, front), (1, side)):
+        placed = Placed("4X4_50", number, 0.16, cam_from_body @ at)
+        levels = render(CAMERA, placed, levels.astype(np.uint8))
+    image = tmp_path / "cube.png"
+    cv2.imwrite(str(image), developed(levels, rng))
+    words = ["markers", str(image), "--body", str(body), "--calibration", str(calibration)]
+    result = CliRunner().invoke(app, [*words, "--json"])
+    assert result.exit_code == 0, result.output
+    frame = json.loads(result.stdout)["frames"][0]
+    seen = [marker["id"] for marker in frame["markers"]]
+    pose = np.array(frame["board"]["cam_from_marker"])
+    assert seen == [0, 1], seen
+    np.testing.assert_allclose(pose[:3, 3], cam_from_body[:3, 3], atol=2e-3)
+    np.testing.assert_allclose(pose[:3, :3], cam_from_body[:3, :3], atol=0.01)
+    refused = CliRunner().invoke(app, [*words, "--board", "grid"])
+    assert "exclude each other" in refused.stderr
+
+
+def test_a_recording_is_drawn_as_a_video(tmp_path: Path, calibration: Path) -> None:
+    folder, video = tmp_path / "images", tmp_path / "found.mp4"
+    folder.mkdir()
+    for n in range(3):
+        _image(folder / f"{n:03d}.png", 3, distance=1.0 + 0.1 * n)
+    words = ["markers", str(folder), "--length", "0.16", "--calibration", str(calibration)]
+    result = CliRunner().invoke(app, [*words, "--video", str(video)])
+    assert result.exit_code == 0, result.output
+    read = cv2.VideoCapture(str(video))
+    assert int(read.get(cv2.CAP_PROP_FRAME_COUNT)) == 3
+    picture = read.read()[1].astype(int)
+    read.release()
+    assert (picture.max(axis=2) - picture.min(axis=2) > 60).sum() > 200  # coloured lines
+    for target, message in ((folder / "000.png", "of a recording"), (folder, "must end in")):
+        name = str(video) if target.is_file() else "found.gif"
+        refused = CliRunner().invoke(app, ["markers", str(target), "--video", name])
+        assert refused.exit_code == 1 and message in refused.stderr

@@ -140,8 +140,40 @@ def test_wrong_calls_are_one_line(
 
 def test_a_calibration_of_another_size_is_refused(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "camera.yaml"
-    other.write_text(CALIBRATION.replace("640, 480", "320, 240"), encoding="utf-8")
+    small = "cam0: {resolution: [320, 240], intrinsics: [300, 300, 159.5, 119.5]}\n"
+    other.write_text(small, encoding="utf-8")
     words = ["find", folder / "scene.png", "-d", folder / "two.vodb", "--calibration", other]
     result = recognize(*words)
     assert result.exit_code == 1
     assert result.stderr.count("\n") == 1
+
+
+def test_images_and_folders_are_searched_together(folder: Path, tmp_path: Path) -> None:
+    table = tmp_path / "found.csv"
+    words = ("find", folder / "scene.png", folder / "walk", "-d", folder / "two.vodb")
+    result = recognize(*words, "--csv", table, "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)["sources"]
+    assert [Path(each["source"]).name for each in found] == [
+        "scene.png",
+        *(f"{number}.png" for number in range(4)),
+    ]
+    counts = [len(each["frames"][0]["objects"]) for each in found]
+    assert counts == [1, 1, 1, 2, 2]
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    assert [Path(row["source"]).name for row in rows].count("3.png") == 2
+    text = recognize(*words)
+    assert str(folder / "walk" / "3.png") in text.stdout
+    refused = recognize(*words, "--video", tmp_path / "a.mp4")
+    assert refused.exit_code == 1 and "of one recording" in refused.stderr
+
+
+def test_a_recording_is_drawn_as_a_video_with_names(folder: Path, tmp_path: Path) -> None:
+    video = tmp_path / "named.mp4"
+    words = ("find", folder / "walk", "-d", folder / "two.vodb", "--video", video)
+    assert recognize(*words).exit_code == 0
+    read = cv2.VideoCapture(str(video))
+    assert int(read.get(cv2.CAP_PROP_FRAME_COUNT)) == 4
+    picture = read.read()[1].astype(int)
+    read.release()
+    assert (picture.max(axis=2) - picture.min(axis=2) > 60).sum() > 200  # coloured lines

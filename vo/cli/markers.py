@@ -48,6 +48,12 @@ class BoardOptions:
         metavar="N",
         min=1,
     )
+    body: Path | None = option(
+        "The markers are on a rigid body, such as a cube: their poses, in YAML, JSON or "
+        "markers.csv as a map of markers (docs/markers.md).",
+        default=None,
+        metavar="FILE",
+    )
     gap: float = option("Space between markers of a grid.", default=0.01, metavar="METRES")
     square: float = option("Side of a square of a ChArUco board.", default=0.03, metavar="METRES")
 
@@ -93,6 +99,12 @@ class Request:
     picture: Path | None = option(
         "Draw outlines, ids and axes to this .png or .jpg file; of a recording, of the "
         "frame with most markers.",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
+    video: Path | None = option(
+        "Draw the same into all frames of a recording, to this .mp4 file.",
         default=None,
         metavar="FILE",
         panel=options.OUTPUT,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.console import Console
 
 from vo.base.errors import CalibrationError, ConfigError
@@ -21,11 +22,19 @@ from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.single_image import read_single_image
 from vo.tools.calibrating.printing import save_board
-from vo.tools.drawing import check_picture, write_picture
-from vo.tools.markers.boards import CharucoBoard, GridBoard, check_length, make_charuco, make_grid
+from vo.tools.drawing import check_picture, check_video, write_picture, write_video
+from vo.tools.markers.boards import (
+    CharucoBoard,
+    GridBoard,
+    check_length,
+    make_charuco,
+    make_grid,
+)
+from vo.tools.markers.body import MarkerBody
 from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
 from vo.tools.markers.image_markers import FrameMarkers
+from vo.tools.markers.marker_map import read_marker_map
 from vo.tools.markers.picture import draw_markers
 from vo.tools.markers.printing import parse_ids, save_grid, save_sheet
 from vo.tools.markers.search import MarkerFinder, find_too_small
@@ -66,6 +75,8 @@ def write_sheet(request: Request, *, is_json: bool) -> None:
     name = dictionary_name(request.dictionary)
     name = DEFAULT_TO_PRINT if name == AUTO else name
     board = _board(request, name)
+    if isinstance(board, MarkerBody):
+        raise ConfigError("--print makes sheets and boards; print the markers of a body by --ids")
     if board is not None and request.ids != "0":
         raise ConfigError("--ids belongs to single markers; a board has those from 0 on")
     if isinstance(board, CharucoBoard):
@@ -100,7 +111,12 @@ def run_request(request: Request, console: Console) -> MarkersResult:
     read = [Path(request.target), request.reading.calibration]
     if is_image and ":" in request.target:
         read.append(Path(request.target.rpartition(":")[0]))
-    refuse_to_overwrite(read, [request.picture, request.csv])
+    read.append(request.board.body)
+    refuse_to_overwrite(read, [request.picture, request.video, request.csv])
+    if request.video is not None:
+        check_video(request.video)
+        if is_image:
+            raise ConfigError("--video is of a recording; of an image give --picture")
     work = _find_in_image if is_image else _find_in_recording
     return work(request, name, console)
 
@@ -154,7 +170,22 @@ def _find_in_recording(request: Request, name: str, console: Console) -> Markers
                 image = frame.image0
     if not any(frame.markers for frame in found):
         _log.warning("%s shows no marker of %s", request.target, detector.name)
-    return _finished(request, detector.name, consistent(found), image, camera)
+    kept = consistent(found)
+    if request.video is not None:
+        by_frame = {frame.frame_index: frame for frame in kept}
+        pictures = (
+            draw_markers(frame.image0, by_frame[frame.index], camera, _axis_m(request))
+            for frame in recording.frames(start, stop, stride)
+            if frame.index in by_frame
+        )
+        write_video(request.video, pictures, np.array([frame.stamp_ns for frame in kept]))
+    return _finished(request, detector.name, kept, image, camera)
+
+
+def _axis_m(request: Request) -> float:
+    """Length of the axes in pictures."""
+    board = request.board
+    return request.length or (0.05 if board.board is None else board.square)
 
 
 def _finished(
@@ -169,10 +200,10 @@ def _finished(
     written = []
     if request.picture is not None and image is not None:
         most = max(frames, key=lambda frame: len(frame.markers))
-        board = request.board
-        length_m = request.length or (0.05 if board.board is None else board.square)
-        write_picture(request.picture, draw_markers(image, most, camera, length_m))
+        write_picture(request.picture, draw_markers(image, most, camera, _axis_m(request)))
         written.append(request.picture)
+    if request.video is not None:
+        written.append(request.video)
     if request.csv is not None:
         write_csv(request.csv, frames)
         written.append(request.csv)
@@ -183,8 +214,12 @@ def _finder(request: Request, detector: MarkerDetector, camera: Camera | None) -
     return MarkerFinder(detector, request.length, camera, _board(request, detector.name))
 
 
-def _board(request: Request, dictionary: str) -> GridBoard | CharucoBoard | None:
+def _board(request: Request, dictionary: str) -> GridBoard | CharucoBoard | MarkerBody | None:
     wanted, length_m = request.board, request.length
+    if wanted.body is not None:
+        if wanted.board is not None:
+            raise ConfigError("--board and --body exclude each other; give one")
+        return MarkerBody(read_marker_map(wanted.body))
     columns, rows = wanted.columns, wanted.rows
     if wanted.board is None:
         return None
@@ -200,7 +235,8 @@ def _checked_camera(
     camera: Camera | None, request: Request, size: tuple[int, int]
 ) -> Camera | None:
     if camera is None:
-        if request.length is not None or request.board.board is not None:
+        wanted = request.board
+        if request.length is not None or wanted.board is not None or wanted.body is not None:
             _log.warning(
                 "%s has no calibration: ids and corners are found, but no poses; give "
                 "--calibration FILE",

@@ -29,11 +29,13 @@ class Request:
 
     action: RecognizeAction = argument(
         "add NAME IMAGE…: store an object; list: what is stored; remove NAME: forget an "
-        "object; find IMAGE or find RECORDING: search for all objects.",
+        "object; find IMAGE… or find RECORDING: search for all objects.",
         metavar="ACTION",
     )
     words: list[str] = argument(
-        "Name and images, name, or image or recording.", default_factory=list, metavar="WORD"
+        "Name and images, name, or images, folders of images, or a recording.",
+        default_factory=list,
+        metavar="WORD",
     )
     database: Path = option(
         "Database of objects; the first add makes it.",
@@ -68,6 +70,12 @@ class Request:
         metavar="FILE",
         panel=options.OUTPUT,
     )
+    video: Path | None = option(
+        "Draw the same into all frames of a recording, to this .mp4 file (find).",
+        default=None,
+        metavar="FILE",
+        panel=options.OUTPUT,
+    )
     csv: Path | None = option(
         "Write a line for each object of each frame (find).",
         default=None,
@@ -93,7 +101,11 @@ def recognize_command(
 
     Follow them through a recording, with their poses in every frame:
 
-      vo recognize find walk.mp4 --calibration camera.yaml --csv found.csv
+      vo recognize find walk.mp4 --calibration camera.yaml --csv found.csv --video named.mp4
+
+    Search photos and folders of photos:
+
+      vo recognize find desk.jpg photos/ --csv found.csv
 
     Exit status: 0 done, 1 nothing was found, or an error, 2 wrong usage.
     """

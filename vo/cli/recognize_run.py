@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 from rich.markup import escape
 
 from vo.base.errors import ConfigError, InputError, OutputError
@@ -18,11 +19,11 @@ from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
-from vo.recordings.sources.listing import IMAGE_SUFFIXES
+from vo.recordings.sources.listing import IMAGE_SUFFIXES, list_images
 from vo.recordings.sources.single_image import read_single_image
-from vo.tools.drawing import check_picture
+from vo.tools.drawing import check_picture, check_video, write_video
 from vo.tools.objects.database import DETECTOR, ObjectDatabase
-from vo.tools.objects.picture import write_objects_picture
+from vo.tools.objects.picture import draw_objects, write_objects_picture
 from vo.tools.objects.tables import (
     FrameObjects,
     csv_text,
@@ -40,7 +41,7 @@ _USAGE = {
     "add": "vo recognize add NAME IMAGE…",
     "list": "vo recognize list",
     "remove": "vo recognize remove NAME",
-    "find": "vo recognize find IMAGE, or find RECORDING",
+    "find": "vo recognize find IMAGE…, or find RECORDING",
 }
 
 
@@ -67,7 +68,7 @@ def run_request(request: Request) -> bool:
 
 def _check(request: Request) -> None:
     count = len(request.words)
-    allowed = {"add": count >= 2, "list": count == 0, "remove": count == 1, "find": count == 1}
+    allowed = {"add": count >= 2, "list": count == 0, "remove": count == 1, "find": count >= 1}
     if not allowed[request.action]:
         raise ConfigError(f"{count} words after {request.action}; give {_USAGE[request.action]}")
     for name, given in (("--width", request.width), ("--detector", request.detector)):
@@ -75,6 +76,7 @@ def _check(request: Request) -> None:
             raise ConfigError(f"{name} belongs to `{_USAGE['add']}`")
     of_find = {
         "--picture": request.picture,
+        "--video": request.video,
         "--csv": request.csv,
         "--calibration": request.reading.calibration,
         "--format": request.reading.format,
@@ -141,35 +143,89 @@ def _list(request: Request, database: ObjectDatabase) -> None:
     request.printing.show(lambda: _database_record(request.database, database), text)
 
 
+class _Source(NamedTuple):
+    """What was found in one image or recording."""
+
+    name: str
+    frames: list[FrameObjects]
+    tracks: list[Track]
+
+
 def _find(request: Request) -> bool:
-    target = request.words[0]
-    inputs = [Path(target), request.database, request.reading.calibration]
-    refuse_to_overwrite(inputs, [request.picture, request.csv])
+    outputs = [request.picture, request.video, request.csv]
+    inputs = [*map(Path, request.words), request.database, request.reading.calibration]
+    refuse_to_overwrite(inputs, outputs)
     if request.picture is not None:
         check_picture(request.picture)
+    if request.video is not None:
+        check_video(request.video)
     database = ObjectDatabase.load(request.database)
     if not len(database):
         raise InputError(
             f"{request.database} has no objects; add some with `vo recognize add NAME IMAGE`"
         )
+    sources: list[_Source] = []
+    best: tuple[Bytes, FrameObjects] | None = None
+    with request.printing.warnings():
+        for target in _targets(request):
+            source, image, most = _find_in(request, target, database)
+            sources.append(source)
+            if best is None or len(most.found) > len(best[1].found):
+                best = image, most
+    if request.picture is not None and best is not None:
+        write_objects_picture(request.picture, best[0], best[1].found, best[1].tracks)
+    if request.video is not None:
+        _write_video(request, request.video, sources[0].frames)
+    if request.csv is not None:
+        _write(request.csv, csv_text([(each.name, each.frames) for each in sources]))
+    _show(request, sources)
+    return any(source.tracks for source in sources)
+
+
+def _targets(request: Request) -> list[str]:
+    """The images and recordings to search; of a folder among several each image."""
+    if len(request.words) == 1:
+        return request.words
+    if request.video is not None:
+        raise ConfigError("--video is of one recording")
+    targets: list[str] = []
+    for word in request.words:
+        is_folder = Path(word).is_dir()
+        targets += [str(path) for path in list_images(Path(word))] if is_folder else [word]
+    return targets
+
+
+def _find_in(
+    request: Request, target: str, database: ObjectDatabase
+) -> tuple[_Source, Bytes, FrameObjects]:
+    """What one of them shows, and the frame with most objects."""
     tracker = ObjectTracker()
     frames: list[FrameObjects] = []
-    best: tuple[int, Bytes, FrameObjects] | None = None
-    with request.printing.warnings(), _images(request, request.printing.errors) as images:
+    best: tuple[Bytes, FrameObjects] | None = None
+    with _images(request, target, request.printing.errors) as images:
         for number, stamp_ns, image, camera in images:
             found = database.find(image, camera, request.min_confidence)
             tracks = tracker.update(number, found)
             frames.append(FrameObjects(number, stamp_ns, found, tracks))
-            if best is None or len(found) > best[0]:
-                best = len(found), image, frames[-1]
+            if best is None or len(found) > len(best[1].found):
+                best = image, frames[-1]
     if best is None:
         raise InputError(f"{target} has no frame to search; check --start, --end and --stride")
-    if request.picture is not None:
-        write_objects_picture(request.picture, best[1], best[2].found, best[2].tracks)
-    if request.csv is not None:
-        _write(request.csv, csv_text(frames))
-    _show(request, frames, tracker.tracks)
-    return bool(tracker.tracks)
+    return _Source(target, frames, list(tracker.tracks)), *best
+
+
+def _write_video(request: Request, path: Path, frames: Sequence[FrameObjects]) -> None:
+    """The recording with outlines and names in all frames."""
+    if frames[0].stamp_ns is None:
+        raise ConfigError("--video is of a recording; of an image give --picture")
+    found = {frame.frame: frame for frame in frames}
+    with _images(request, request.words[0], request.printing.errors) as images:
+        pictures = (
+            draw_objects(image, found[number].found, found[number].tracks)
+            for number, _, image, _ in images
+            if number in found
+        )
+        write_video(path, pictures, np.array([frame.stamp_ns for frame in frames]))
 
 
 def _write(path: Path, text: str) -> None:
@@ -185,12 +241,12 @@ _Image = tuple[int, int | None, Bytes, Camera | None]
 
 
 @contextmanager
-def _images(request: Request, errors: Any) -> Iterator[Iterator[_Image]]:
+def _images(request: Request, target: str, errors: Any) -> Iterator[Iterator[_Image]]:
     """Number, time, pixels and camera of the images to search."""
-    path = Path(request.words[0])
+    path = Path(target)
     is_frame = not path.exists() and ":" in path.name
     if is_frame or (path.suffix.lower() in IMAGE_SUFFIXES and not path.is_dir()):
-        yield iter([_single(request)])
+        yield iter([_single(request, target)])
         return
     recording, is_calibrated = open_one_camera(path, request.reading)
     first, last, stride = request.frames.start, request.frames.end, request.frames.stride
@@ -206,8 +262,8 @@ def _images(request: Request, errors: Any) -> Iterator[Iterator[_Image]]:
         yield read()
 
 
-def _single(request: Request) -> _Image:
-    given = read_single_image(request.words[0])
+def _single(request: Request, target: str) -> _Image:
+    given = read_single_image(target)
     camera = given.camera
     if request.reading.calibration is not None:
         height, width = given.image.shape
@@ -216,24 +272,40 @@ def _single(request: Request) -> _Image:
     return 0, None, given.image, camera
 
 
-def _show(request: Request, frames: Sequence[FrameObjects], tracks: Sequence[Track]) -> None:
-    request.printing.show(
-        lambda: {
-            "source": request.words[0],
-            "database": str(request.database),
-            "frames": [frame_record(frame) for frame in frames],
-            "tracks": [track_record(track) for track in tracks],
-            "picture": None if request.picture is None else str(request.picture),
-            "csv": None if request.csv is None else str(request.csv),
-        },
-        lambda: _print(request, frames, tracks),
-    )
+def _show(request: Request, sources: Sequence[_Source]) -> None:
+    written = {"picture": request.picture, "video": request.video, "csv": request.csv}
+    records = {"database": str(request.database)} | {
+        name: None if path is None else str(path) for name, path in written.items()
+    }
+
+    def record() -> dict[str, Any]:
+        found = [_source_record(source) for source in sources]
+        return (found[0] if len(request.words) == 1 else {"sources": found}) | records
+
+    def text() -> None:
+        for source in sources:
+            _print(source, is_one=len(sources) == 1)
+        for path in filter(None, written.values()):
+            echo(str(path))
+
+    request.printing.show(record, text)
 
 
-def _print(request: Request, frames: Sequence[FrameObjects], tracks: Sequence[Track]) -> None:
+def _source_record(source: _Source) -> dict[str, Any]:
+    return {
+        "source": source.name,
+        "frames": [frame_record(frame) for frame in source.frames],
+        "tracks": [track_record(track) for track in source.tracks],
+    }
+
+
+def _print(source: _Source, *, is_one: bool) -> None:
     console = standard_output()
+    frames, tracks = source.frames, source.tracks
     if not tracks:
-        console.print(f"no known object in {escape(request.words[0])}", soft_wrap=True)
+        console.print(f"no known object in {escape(source.name)}", soft_wrap=True)
+    elif not is_one:
+        console.print(escape(source.name), soft_wrap=True)
     if frames[0].stamp_ns is None:
         for each in frames[0].found:
             where = ""
@@ -249,6 +321,3 @@ def _print(request: Request, frames: Sequence[FrameObjects], tracks: Sequence[Tr
                 f"confidence up to {track.confidence:.3f}"
             )
             console.print(f"[bold]{escape(track.name)}[/] ({track.id}): {text}", soft_wrap=True)
-    for path in (request.picture, request.csv):
-        if path is not None:
-            console.print(escape(str(path)), soft_wrap=True)

@@ -52,11 +52,17 @@ def render_command(
         show_default="first frame, a quarter of the path's length",
         panel=_PLACE,
     ),
+    on: str | None = option(
+        "On a marker of the run (--markers), its underside in the plane of the marker.",
+        default=None,
+        metavar="marker:ID",
+        panel=_PLACE,
+    ),
     size: float | None = option(
         "Largest extent of the model.",
         default=None,
         metavar="LENGTH",
-        show_default="a fifth of the distance",
+        show_default="a fifth of the distance, the side of a marker",
         panel=_PLACE,
     ),
     up: Up = option(
@@ -79,12 +85,22 @@ def render_command(
     Put a statue 6 m in front of the camera at frame 40, 2 m high:
 
       vo render out/ statue.obj -o statue.mp4 --in-front 40:6 --size 2
+
+    Let it stand on marker 3:
+
+      vo run walk.mp4 -o out/ --markers 0.16
+      vo render out/ statue.obj -o statue.mp4 --on marker:3
     """
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.tools.rendering.render import RenderOptions, render
 
     place = RenderOptions(
-        None if at is None else _numbers(at), _frame_and_length(in_front), size, up.value, frame
+        None if at is None else _numbers(at),
+        _frame_and_length(in_front),
+        size,
+        up.value,
+        frame,
+        None if on is None else _marker(on),
     )
     refuse_to_overwrite([model], [output])
     with printing.warnings():
@@ -97,6 +113,13 @@ def render_command(
     )
     record = {**done._asdict(), "output": str(done.output), "at": list(done.at)}
     printing.show(lambda: record, lambda: echo(text))
+
+
+def _marker(text: str) -> int:
+    kind, _, number = text.partition(":")
+    if kind != "marker" or not number.isdigit():
+        raise typer.BadParameter(f"'{text}' is no marker; give --on marker:ID, such as marker:3")
+    return int(number)
 
 
 def _numbers(text: str) -> tuple[float, float, float]:

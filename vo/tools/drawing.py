@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import cv2
+import numpy as np
 
 from vo.base.errors import OutputError
 from vo.base.extras import require
 from vo.base.files.complete_file import writing
-from vo.base.types import Bytes
+from vo.base.types import Bytes, Ints
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov")
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
 
@@ -41,6 +43,50 @@ def write_picture(path: Path, picture: Bytes, suffix: str = "") -> None:
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
+
+
+def is_video(path: Path) -> bool:
+    """Whether a name is that of a video."""
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+def check_video(path: Path) -> None:
+    """Check the name of a video.
+
+    Raises:
+        OutputError: unsupported suffix.
+    """
+    if not is_video(path):
+        raise OutputError(f"{path} must end in {', '.join(VIDEO_SUFFIXES)}, which are written")
+
+
+def write_video(path: Path, pictures: Iterator[Bytes], stamps_ns: Ints) -> int:
+    """Write pictures (H, W, 3) BGR as a video, and its folder; returns their number.
+
+    `stamps_ns`: of frames, whose median distance is that of the pictures.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    steps = np.diff(stamps_ns)
+    rate = 1e9 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 10.0
+    writer: cv2.VideoWriter | None = None
+    count = 0
+    for picture in pictures:
+        height, width = picture.shape[:2]
+        if writer is None:
+            codec = cv2.VideoWriter.fourcc(*("MJPG" if path.suffix.lower() == ".avi" else "mp4v"))
+            size = width, height
+            writer = cv2.VideoWriter(str(path), codec, float(np.clip(rate, 1, 240)), size)
+            if not writer.isOpened():
+                raise OutputError(f"{path} cannot be written; choose another file")
+        writer.write(picture)
+        count += 1
+    if writer is not None:
+        writer.release()
+    return count
 
 
 def check_plot(path: Path, kind: str = "plot", what: str = "plots") -> None:

@@ -105,3 +105,26 @@ def test_what_cannot_be_drawn(finished: Path, tmp_path: Path) -> None:
         vo.render(finished, tmp_path / "a.png", tmp_path / "a.obj")
     with pytest.raises(SourceError, match="is not a folder"):
         vo.render(tmp_path / "none", tmp_path / "a.png")
+
+
+def test_a_model_stands_on_a_marker_of_the_run(finished: Path, tmp_path: Path) -> None:
+    """A marker that faces the first camera: the z axis of the model points at the camera."""
+    run_folder = tmp_path / "run"
+    shutil.copytree(finished, run_folder)
+    heading = "segment,id,tx,ty,tz,qx,qy,qz,qw,sigma_m,views,first_frame,last_frame,error,length_m"
+    row = "0,3,0.05,0.15,2.0,1,0,0,0,0.001,9,0,8,0.5,0.2"
+    (run_folder / "markers.csv").write_text(f"{heading}\n{row}\n", encoding="utf-8")
+    picture = tmp_path / "a.png"
+    options = vo.RenderOptions(on_marker=3, up="z", frame=0)
+    done = vo.render(run_folder, picture, options=options)
+    assert done.at == (0.05, 0.15, 2.0) and done.with_model == 1
+    path = tmp_path / "b.png"
+    result = CliRunner().invoke(
+        app, ["render", str(run_folder), "-o", str(path), "--on", "marker:3", "--up", "z"]
+    )
+    assert result.exit_code == 0, result.output
+    assert cv2.imread(str(path)) is not None
+    with pytest.raises(ConfigError, match="no marker 4; its markers are 3"):
+        vo.render(run_folder, picture, options=vo.RenderOptions(on_marker=4))
+    with pytest.raises(SourceError, match="--markers METRES"):
+        vo.render(finished, picture, options=vo.RenderOptions(on_marker=3))

@@ -18,7 +18,11 @@ from vo.tools.markers.image_markers import DetectedMarker
 
 _SUBPIX_SIGMA_PX, _APRILTAG_SIGMA_PX, _RAW_SIGMA_PX = 0.15, 0.12, 0.6
 _MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show; of small ones, of which
-_MIN_SMALL_CORRELATION = 0.95  # textures have many likenesses
+_MIN_SMALL_CORRELATION = 0.95  # textures have many likenesses, and fewer of dictionaries with
+_MIN_STRONG_CORRELATION = 0.88  # so many cells:
+_STRONG_CELLS = 6
+_ENLARGED, _MAX_ENLARGED_PIXELS = 2, 3e7
+_LARGEST_PX = 30.0  # side of a marker that is also searched in the enlarged image
 _CELL_PX = 8  # of a marker seen from the front, for that comparison
 _MIN_LEAD = 2  # markers by which a dictionary is ahead of the next one
 MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
@@ -37,19 +41,27 @@ class MarkerDetector:
     """Detects the markers of one dictionary.
 
     `name`: of the dictionary, from `dictionary_name`, not `auto`. `is_strict`: accept only markers
-    without a single wrong bit.
+    without a single wrong bit. `small`: search the image in double size too, where markers with
+    sides of 12 to 20 pixels are found; it takes about three times as long.
     """
 
     def __init__(
-        self, name: str, refinement: Refinement = Refinement.LINES, *, is_strict: bool = False
+        self,
+        name: str,
+        refinement: Refinement = Refinement.LINES,
+        *,
+        is_strict: bool = False,
+        small: bool = False,
     ) -> None:
         self.name = name
         self._refinement = refinement
+        self._small = small
         self._dictionary = dictionary(name)
         self.cells = int(self._dictionary.markerSize) + 2
         self._detector = cv2.aruco.ArucoDetector(
             self._dictionary, _parameters(refinement, is_strict=is_strict)
         )
+        self._is_strict = is_strict
 
     def detect(self, image: Bytes, camera: Camera | None = None) -> list[DetectedMarker]:
         """The markers of an image (H, W), by increasing id, and from top to bottom.
@@ -57,27 +69,55 @@ class MarkerDetector:
         `image`: uint8, as recorded. `camera`: whose lens bends straight lines; None without
         distortion.
         """
-        found, ids, _ = self._detector.detectMarkers(image)
+        markers = self._found(self._detector, image, camera, 1)
+        if self._small and image.size * _ENLARGED**2 <= _MAX_ENLARGED_PIXELS:
+            size = image.shape[1] * _ENLARGED, image.shape[0] * _ENLARGED
+            large = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+            detector = cv2.aruco.ArucoDetector(self._dictionary, self._of_small(max(size)))
+            for marker in self._found(detector, large, camera and _enlarged(camera), _ENLARGED):
+                if not any(_is_same(marker, other) for other in markers):
+                    markers.append(marker)
+        return sorted(markers, key=lambda each: (each.id, *each.corners.mean(axis=0)[::-1]))
+
+    def _of_small(self, longest_px: int) -> Any:
+        """Parameters for small markers in the enlarged image."""
+        parameters = _parameters(self._refinement, is_strict=self._is_strict)
+        parameters.maxMarkerPerimeterRate = 4.0 * _ENLARGED * _LARGEST_PX / longest_px
+        parameters.minMarkerPerimeterRate = min(0.02, 4.0 * _ENLARGED * 10.0 / longest_px)
+        parameters.perspectiveRemovePixelPerCell = 8
+        parameters.perspectiveRemoveIgnoredMarginPerCell = 0.25
+        return parameters
+
+    def _found(
+        self, detector: Any, image: Bytes, camera: Camera | None, scale: int
+    ) -> list[DetectedMarker]:
+        """Markers of an image enlarged by a scale, in pixels of the original."""
+        found, ids, _ = detector.detectMarkers(image)
         if ids is None:
             return []
         markers = []
         for corners, number in zip(found, np.asarray(ids).ravel().tolist(), strict=True):
             corners = np.asarray(corners, dtype=np.float64).reshape(4, 2)
-            marker = self._checked(image, int(number), corners, camera)
+            marker = self._checked(image, int(number), corners, camera, scale)
+            if marker is not None and scale > 1:
+                corners = (marker.corners + 0.5) / scale - 0.5
+                marker = DetectedMarker(marker.id, corners, marker.sigma_px / scale)
             if marker is not None:
                 markers.append(marker)
-        return sorted(markers, key=lambda each: (each.id, *each.corners.mean(axis=0)[::-1]))
+        return markers
 
     def _checked(
-        self, image: Bytes, number: int, corners: Floats, camera: Camera | None
+        self, image: Bytes, number: int, corners: Floats, camera: Camera | None, scale: int
     ) -> DetectedMarker | None:
         """The marker with refined corners; None if it is a chance likeness."""
         lines = refine_corners(image, corners, self.cells, camera)
         if lines is None:
             return None
         refined = DetectedMarker(number, lines.corners, lines.sigma_px)
-        is_small = refined.side_px < MIN_SIDE_PX
+        is_small = refined.side_px < scale * MIN_SIDE_PX
         least = _MIN_SMALL_CORRELATION if is_small else _MIN_CORRELATION
+        if is_small and scale > 1 and self.cells - 2 >= _STRONG_CELLS:
+            least = _MIN_STRONG_CORRELATION
         if self._correlation(image, number, lines.corners) < least:
             return None
         if self._refinement is Refinement.LINES:
@@ -103,6 +143,20 @@ class MarkerDetector:
         return float(np.corrcoef(means, expected)[0, 1])
 
 
+def _enlarged(camera: Camera) -> Camera:
+    """The camera of the enlarged image."""
+    fx, fy = camera.fx * _ENLARGED, camera.fy * _ENLARGED
+    cx, cy = ((c + 0.5) * _ENLARGED - 0.5 for c in (camera.cx, camera.cy))
+    size = camera.width * _ENLARGED, camera.height * _ENLARGED
+    return Camera(*size, fx, fy, cx, cy, camera.distortion_model, camera.distortion)
+
+
+def _is_same(marker: DetectedMarker, other: DetectedMarker) -> bool:
+    """Whether two markers are at one place."""
+    away = np.linalg.norm(marker.corners.mean(axis=0) - other.corners.mean(axis=0))
+    return bool(away < 0.5 * max(marker.side_px, other.side_px))
+
+
 class DictionarySearch:
     """Finds the dictionary whose markers images show, one image after the other."""
 
@@ -116,12 +170,22 @@ class DictionarySearch:
 
     def add(self, image: Bytes) -> str | None:
         """The largest dictionary of a kind that leads by two markers after this image (H, W)."""
-        _, ids, _, which = self._all.detectMarkersMultiDict(image)
-        if ids is not None:
-            for index in sorted(set(np.asarray(which).ravel().tolist())):
-                self._count(CANDIDATES[index], image)
+        self._search(image, image, small=False)
         first, second = ([*self._counts.most_common(2), ("", 0), ("", 0)])[:2]
         return first[0] if first[1] >= second[1] + _MIN_LEAD else None
+
+    def add_small(self, image: Bytes) -> None:
+        """Count markers of an image (H, W) that are only found in double size."""
+        height, width = image.shape
+        size = width * _ENLARGED, height * _ENLARGED
+        large = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
+        self._search(image, large, small=True)
+
+    def _search(self, image: Bytes, searched: Bytes, *, small: bool) -> None:
+        _, ids, _, which = self._all.detectMarkersMultiDict(searched)
+        if ids is not None:
+            for index in sorted(set(np.asarray(which).ravel().tolist())):
+                self._count(CANDIDATES[index], image, small=small)
 
     def found(self, what: str) -> str | None:
         """The dictionary with most markers, the smallest with all ids; None without any marker.
@@ -140,9 +204,9 @@ class DictionarySearch:
             )
         return smallest_containing(best[0], sorted(self._ids[best[0]]))
 
-    def _count(self, name: str, image: Bytes) -> None:
-        if name not in self._single:
-            self._single[name] = MarkerDetector(name, is_strict=True)
+    def _count(self, name: str, image: Bytes, *, small: bool) -> None:
+        if name not in self._single or small:
+            self._single[name] = MarkerDetector(name, is_strict=True, small=small)
         numbers = [marker.id for marker in self._single[name].detect(image)]
         if numbers:
             self._counts[name] += len(numbers)
@@ -155,16 +219,20 @@ def find_dictionary(images: Iterable[Bytes], what: str) -> str | None:
     Raises:
         ConfigError: two dictionaries fit equally well.
     """
-    search = DictionarySearch()
-    for image in images:
+    search, seen = DictionarySearch(), list(images)
+    for image in seen:
         search.add(image)
-    return search.found(what)
+    found = search.found(what)
+    if found is None and len(seen) == 1 and seen[0].size * _ENLARGED**2 <= _MAX_ENLARGED_PIXELS:
+        search.add_small(seen[0])
+        found = search.found(what)
+    return found
 
 
 def make_detector(
     name: str, refinement: Refinement, images: Iterable[Bytes], what: str
 ) -> MarkerDetector | None:
-    """A detector of a dictionary, which is found in images if its name is `auto`.
+    """A detector of a dictionary, of small markers too, found in images if its name is `auto`.
 
     Returns None if no image shows a marker of any dictionary.
 
@@ -174,7 +242,7 @@ def make_detector(
     chosen: str | None = name
     if name == AUTO:
         chosen = find_dictionary(images, what)
-    return None if chosen is None else MarkerDetector(chosen, refinement)
+    return None if chosen is None else MarkerDetector(chosen, refinement, small=True)
 
 
 def _parameters(refinement: Refinement, *, is_strict: bool) -> Any:

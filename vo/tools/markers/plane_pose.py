@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -25,15 +27,29 @@ def plane_pose(camera: Camera, points: Floats, pixels: Floats, sigma_px: float) 
     Source: Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation", 2014, for both first
         guesses.
     """
+    rays = _rays(camera, pixels)
+    return None if rays is None else _best(camera, points, rays, sigma_px, _guesses(points, rays))
+
+
+def pose_from(
+    camera: Camera, points: Floats, pixels: Floats, sigma_px: float, guesses: Sequence[Floats]
+) -> PlanePose | None:
+    """The pose of any points (N, 3), the best that is near a guess (4, 4); None where none fits."""
+    rays = _rays(camera, pixels)
+    return None if rays is None else _best(camera, points, rays, sigma_px, guesses)
+
+
+def _rays(camera: Camera, pixels: Floats) -> Floats | None:
     rays = normalise(camera, pixels)
-    if not np.isfinite(rays).all() or np.abs(rays).max() > _ANY_PIXEL:
-        return None
+    is_usable = np.isfinite(rays).all() and np.abs(rays).max() <= _ANY_PIXEL
+    return rays if is_usable else None
+
+
+def _best(
+    camera: Camera, points: Floats, rays: Floats, sigma_px: float, guesses: Sequence[Floats]
+) -> PlanePose | None:
     focal = np.array([camera.fx, camera.fy])
-    candidates = [
-        refined
-        for guess in _guesses(points, rays)
-        if (refined := _refine(guess, points, rays, focal))
-    ]
+    candidates = [refined for guess in guesses if (refined := _refine(guess, points, rays, focal))]
     if not candidates:
         return None
     candidates.sort(key=lambda each: each[1])
@@ -42,6 +58,7 @@ def plane_pose(camera: Camera, points: Floats, pixels: Floats, sigma_px: float) 
     for each, its_cost, _ in candidates[1:]:
         if np.linalg.norm(so3_log(each[:3, :3] @ pose[:3, :3].T)) > _SAME_POSE_RAD:
             other, other_cost = each, its_cost
+            break
     rms = np.sqrt(np.array([cost, other_cost]) / len(points))
     covariance = np.asarray(sigma_px**2 * np.linalg.pinv(information, hermitian=True), np.float64)
     evidence = float((other_cost - cost) / sigma_px**2)

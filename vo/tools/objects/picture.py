@@ -19,15 +19,22 @@ _REACH = 4.0  # outlines are drawn up to so many image sizes away
 def write_objects_picture(
     path: Path, image: Bytes, found: Sequence[FoundObject], tracks: Sequence[int]
 ) -> None:
-    """Draw outlines, names and confidences; where the pose is known, the axes of the object.
+    """Write the picture of `draw_objects`.
 
-    `path`: PNG or JPEG file. `image`: (H, W) uint8. `tracks`: number of each, which gives the
-    colour.
+    `path`: PNG or JPEG file.
 
     Raises:
         OutputError: the file cannot be written.
     """
     check_picture(path)
+    write_picture(path, draw_objects(image, found, tracks))
+
+
+def draw_objects(image: Bytes, found: Sequence[FoundObject], tracks: Sequence[int]) -> Bytes:
+    """The image (H, W, 3) BGR with outlines, names and confidences.
+
+    `image`: (H, W) uint8. `tracks`: number of each, which gives the colour.
+    """
     canvas = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     thickness = max(1, round(max(image.shape) / 500))
     for each, track in zip(found, tracks, strict=True):
@@ -37,7 +44,7 @@ def write_objects_picture(
         # The upper side of the stored image is thicker, so that the orientation can be seen.
         cv2.line(canvas, corners[0], corners[1], colour, 3 * thickness, cv2.LINE_AA)
         _label(canvas, f"{each.name} {each.confidence:.2f}", corners, colour, thickness)
-    write_picture(path, np.asarray(canvas, dtype=np.uint8))
+    return np.asarray(canvas, dtype=np.uint8)
 
 
 def _drawable(

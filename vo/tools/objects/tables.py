@@ -15,7 +15,7 @@ from vo.tools.objects.tracks import Track
 _HEADING = (
     *("frame", "stamp_ns", "track", "name", "side", "confidence", "inliers"),
     *(f"{axis}{n}" for n in range(1, 5) for axis in "uv"),
-    *("tx", "ty", "tz", "qx", "qy", "qz", "qw"),
+    *("tx", "ty", "tz", "qx", "qy", "qz", "qw", "source"),
 )
 
 
@@ -61,12 +61,12 @@ def track_record(track: Track) -> dict[str, Any]:
     }
 
 
-def csv_text(frames: Sequence[FrameObjects]) -> str:
-    """All reports, one a line; columns of the pose are empty where it is not known."""
+def csv_text(sources: Sequence[tuple[str, Sequence[FrameObjects]]]) -> str:
+    """All reports of sources by name, one a line; the pose is empty where it is not known."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_HEADING)
-    for frame in frames:
+    for source, frame in ((name, frame) for name, frames in sources for frame in frames):
         for each, track in zip(frame.found, frame.tracks, strict=True):
             stamp = "" if frame.stamp_ns is None else frame.stamp_ns
             pose: list[str] = [""] * 7
@@ -75,7 +75,7 @@ def csv_text(frames: Sequence[FrameObjects]) -> str:
                 pose = [f"{value:.6f}" for value in (*each.cam_from_object[:3, 3], *quat)]
             corners = [f"{value:.2f}" for value in each.outline.ravel().tolist()]
             head = (frame.frame, stamp, track, each.name, each.part)
-            row = (*head, f"{each.confidence:.4f}", each.inliers, *corners, *pose)
+            row = (*head, f"{each.confidence:.4f}", each.inliers, *corners, *pose, source)
             writer.writerow(spreadsheet_row(row))
     return text.getvalue()
 

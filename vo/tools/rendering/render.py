@@ -18,6 +18,7 @@ from vo.outputs.report.run_folder import RunRecord, read_run
 from vo.recordings.formats.mesh import Mesh, read_mesh
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
+from vo.tools.drawing import is_video, write_video
 from vo.tools.rendering.rasterizer import draw, shading
 
 _AXIS_WIDTH = 0.06  # of axes, relative to their length
@@ -40,6 +41,7 @@ class ModelPose:
     size: float | None = None  # its largest extent there, None for its own
     up: str = "y"  # axis of the model that points up: `y`, `z` or `-y`
     world_up: str = "-y"  # axis of the world that points up: `z` where gravity is known, else `-y`
+    world_from_marker: Floats | None = None  # (4, 4) of a marker that it stands on
 
 
 def axes() -> Mesh:
@@ -70,13 +72,15 @@ def standing(mesh: Mesh, model_pose: ModelPose) -> Floats:
 
 def posed(vertices: Floats, model_pose: ModelPose) -> Floats:
     """A standing model (V, 3) at its place in the world."""
+    if model_pose.world_from_marker is not None:
+        marker = model_pose.world_from_marker  # with z out of it
+        return np.asarray(vertices @ _Z_UP_FROM_Y_DOWN.T @ marker[:3, :3].T + marker[:3, 3])
     if model_pose.world_up == "z":
         vertices = vertices @ _Z_UP_FROM_Y_DOWN.T
     return np.asarray(vertices + model_pose.foot)
 
 
 PICTURES = (".png", ".jpg", ".jpeg")
-_VIDEOS = (".mp4", ".avi", ".mkv", ".mov")
 _DISTANCE_RATIO = 0.25  # of the path, from the first camera to the model by default
 _SIZE_RATIO = 0.2  # of the distance, of a model without a size
 _BELOW_RATIO = 0.15  # of the distance, of the foot below the axis of the camera
@@ -93,6 +97,7 @@ class RenderOptions:
         size: largest extent, None for that of a fifth of the distance.
         up: axis of the model that points up: `y`, `z` or `-y`.
         frame: the only frame to draw, None for all.
+        on_marker: id of the marker of the run that it stands on, upright on its plane.
     """
 
     at: tuple[float, float, float] | None = None
@@ -100,6 +105,7 @@ class RenderOptions:
     size: float | None = None
     up: str = "y"
     frame: int | None = None
+    on_marker: int | None = None
 
 
 class Rendered(NamedTuple):
@@ -142,13 +148,16 @@ def render(
     """
     folder, target = Path(run), Path(output)
     is_picture = target.suffix.lower() in PICTURES
-    if not is_picture and target.suffix.lower() not in _VIDEOS:
+    if not is_picture and not is_video(target):
         raise ConfigError(f"{target} is neither a video (.mp4) nor a picture (.png, .jpg)")
     mesh = axes() if model is None else read_mesh(Path(model))
     record = read_run(folder)
     poses = _poses(folder / "poses.csv")
     stream = _recording(record)
-    model_pose, segment = _model_pose(poses, options, record)
+    if options.on_marker is None:
+        model_pose, segment = _model_pose(poses, options, record)
+    else:
+        model_pose, segment = _on_marker(folder, options.on_marker, options)
     frames = sorted(poses) if options.frame is None else [options.frame]
     if options.frame is not None and options.frame not in poses:
         raise ConfigError(f"frame {options.frame} has no pose in {folder}; choose another `frame`")
@@ -156,7 +165,12 @@ def render(
         frames = frames[:1]
     painter = _Painter(mesh, model_pose, segment, stream.rig.cam0)
     images = painter.images(stream, frames, poses)
-    count = _write_picture(target, images) if is_picture else _write_video(target, images, stream)
+    if is_picture:
+        count = _write_picture(target, images)
+    else:
+        count = write_video(target, images, stream.stamps_ns)
+    if not count:
+        raise SourceError("no image of the recording can be read")
     x, y, z = (float(value) for value in model_pose.foot)
     return Rendered(target, count, painter.with_model, (x, y, z), record.unit)
 
@@ -218,6 +232,30 @@ def _model_pose(
     return ModelPose(foot, size, options.up, world_up), segment
 
 
+def _on_marker(folder: Path, number: int, options: RenderOptions) -> tuple[ModelPose, int]:
+    """A model on a marker of markers.csv, by default as large as its side, and its segment."""
+    if options.at is not None or options.in_front is not None:
+        raise ConfigError("a model on a marker has its place; leave `at` and `in_front` out")
+    path = folder / "markers.csv"
+    try:
+        rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
+        known = {int(row["id"]): row for row in reversed(rows)}
+        if number not in known:
+            listed = ", ".join(map(str, sorted(known))) or "none"
+            raise ConfigError(f"{path} has no marker {number}; its markers are {listed}")
+        row = known[number]
+        quat = np.array([float(row[f"q{axis}"]) for axis in "xyzw"])
+        place = np.array([float(row[f"t{axis}"]) for axis in "xyz"])
+        length_m, segment = float(row["length_m"]), int(row["segment"])
+    except (OSError, ValueError, KeyError) as error:
+        raise SourceError(
+            f"{path} cannot be read: {error}; `vo run … --markers METRES` writes it"
+        ) from error
+    world_from_marker = make_transform(rotation_from_quat_xyzw(quat), place)
+    size = length_m if options.size is None else options.size
+    return ModelPose(place, size, options.up, world_from_marker=world_from_marker), segment
+
+
 def _path_length(poses: dict[int, _Pose], first: int) -> float:
     """Length of the path of the first frame's segment."""
     segment = poses[first].segment
@@ -267,26 +305,3 @@ def _write_picture(path: Path, images: Iterator[Bytes]) -> int:
     if not cv2.imwrite(str(path), image):
         raise OutputError(f"{path} cannot be written; choose another `output`")
     return 1
-
-
-def _write_video(path: Path, images: Iterator[Bytes], stream: Recording) -> int:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    steps = np.diff(stream.stamps_ns)
-    rate = 1e9 / float(np.median(steps)) if len(steps) and np.median(steps) > 0 else 10.0
-    writer: cv2.VideoWriter | None = None
-    count = 0
-    for image in images:
-        height, width = image.shape[:2]
-        if writer is None:
-            codec = cv2.VideoWriter.fourcc(*("mp4v" if path.suffix != ".avi" else "MJPG"))
-            writer = cv2.VideoWriter(
-                str(path), codec, float(np.clip(rate, 1, 240)), (width, height)
-            )
-            if not writer.isOpened():
-                raise OutputError(f"{path} cannot be written; choose another `output`")
-        writer.write(image)
-        count += 1
-    if writer is None:
-        raise SourceError("no image of the recording can be read")
-    writer.release()
-    return count
