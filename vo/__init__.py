@@ -1,7 +1,16 @@
 """Visual odometry: a camera's path, with its uncertainty, from images.
 
-The names in `__all__` are the public interface (docs/library.md). All other modules and names are
-private: they may change in any release.
+    vo.run("recording/", "out")                 the path of a recording, as `vo run`
+    vo.evaluate("out", "recording/")            its errors against ground truth
+    with vo.Odometry("camera.yaml") as odometry:
+        odometry.track(stamp_ns, left, right)   the pose of each frame of a program
+    vo.open("recording/")                       frames, stamps, calibration, ground truth
+    vo.read_trajectory, vo.read_calibration     files, in the usual formats
+    vo.match, vo.find_markers, vo.ObjectDatabase, vo.features      single images
+    vo.maps                                     saved maps
+
+Go on with help(vo.run), help(vo.Odometry), or docs/library.md. All errors are a vo.VoError. The
+names in `__all__` are public; others may change in any release.
 """
 
 from __future__ import annotations

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
+from vo.api.run_words import RunWords, split_words
 from vo.api.same_bits import prepare
 from vo.base.config import Config, load_config
 from vo.base.errors import ConfigError
@@ -25,7 +26,7 @@ def run(
     config: Config | str | Path = "default",
     *,
     overrides: Sequence[str] = (),
-    **options: Any,
+    **options: Unpack[RunWords],
 ) -> Summary:
     """Compute a camera's path from a recording and write it, as `vo run` does.
 
@@ -34,18 +35,23 @@ def run(
         output: folder for the results (docs/outputs.md); those of an earlier run are removed.
         config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
         overrides: settings to change, such as `["features.count=2500"]`.
-        **options: see `vo.runs.run_options.RunOptions`: mode, start, end, stride, calibration,
-            topics, rrd, exports and others.
+        **options: the words of `vo run --help-all`, such as `mode="mono"`, `height=1.65`,
+            `markers=0.16`, `mask="body.png"`, `rrd="run.rrd"`, `imu=False` (docs/library.md).
 
     Raises:
+        ConfigError: an option or setting is unknown, or its value is of another type.
         VoError: see `vo.runs.run_recording.run`.
     """
+    settings, given = split_words(options)
     if not isinstance(config, Config):
-        config = load_config(config, list(overrides))
-    elif overrides:
-        raise ConfigError("give overrides with the name of a preset or file, not with a Config")
+        config = load_config(config, [*overrides, *settings])
+    elif overrides or settings:
+        name = (*settings, "overrides")[0].partition("=")[0]
+        raise ConfigError(
+            f"{name} is a setting: give it in the Config, or config as a name or file"
+        )
     prepare()
-    return run_recording(source, Path(output), config=config, **options)
+    return run_recording(source, Path(output), config=config, **given)
 
 
 def evaluate(

@@ -55,6 +55,10 @@ class Failure(NamedTuple):
     defect: ImageDefect | None = None
     camera: int = 0
 
+    def __str__(self) -> str:
+        """The words of `describe`."""
+        return describe(self)
+
 
 def describe(failure: Failure | None) -> str:
     """The failure as text for people, empty without a failure."""

@@ -38,12 +38,9 @@ class Camera:
     """A camera: how directions fall onto a plane, and where the pixels lie on it.
 
     Attributes:
-        width: image width in pixels.
-        height: image height in pixels.
-        fx: focal length in pixels, along u; pixels per unit of the plane.
-        fy: focal length in pixels, along v.
-        cx: principal point, u.
-        cy: principal point, v.
+        width, height: size of the image in pixels.
+        fx, fy: focal length in pixels, along u and v; pixels per unit of the plane.
+        cx, cy: principal point.
         distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant`
             (Kannala-Brandt, k1..k4, OpenCV's fisheye), `double_sphere` (xi alpha),
             `extended_unified` (alpha beta), `omni` (Mei's xi, then those of radtan) or `none`.
@@ -212,6 +209,11 @@ class State(StrEnum):
     TRACKING = "tracking"
     LOST = "lost"
 
+    @property
+    def has_pose(self) -> bool:
+        """Whether frames in this state have a pose."""
+        return self is State.TRACKING
+
 
 class FeatureState:
     """Codes of `View.feature_state`."""
@@ -278,13 +280,7 @@ class KeyframePose:
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Observations of a keyframe of the map.
-
-    Attributes:
-        frame_index: number of its frame in the source.
-        ids: (n,) of the landmarks.
-        xy: (n, 2) pixels in the keyframe's `View.image0`.
-    """
+    """Of a keyframe: the `ids` of landmarks (n,), and their pixels `xy` (n, 2) in its image0."""
 
     frame_index: int
     ids: Ints
@@ -343,8 +339,7 @@ class Estimate:
     """Result of one frame.
 
     Attributes:
-        frame_index: number of the frame in its source.
-        stamp_ns: its time.
+        frame_index, stamp_ns: number of the frame in its source, and its time.
         state: `tracking` exactly where there is a pose `world_from_cam0`.
         failure: why it was not tracked, None where it was.
         segment: number of the segment, from 0; a new one begins after each loss.
@@ -383,6 +378,14 @@ class Estimate:
     tracked_anew_from: int | None = None
     dropped: int = 0
     predicted: PredictedPose | None = None
+
+    def __repr__(self) -> str:
+        what = f"frame {self.frame_index}, {self.stamp_ns} ns: {self.state.value}"
+        if self.position is None:
+            return f"<vo.Estimate {what}, no pose: {self.failure}>"
+        place = ", ".join(f"{each:.4g}" for each in self.position)
+        agree = f"{self.inliers} of {self.matches} matches agree, segment {self.segment}"
+        return f"<vo.Estimate {what} at ({place}),\n  {agree}{', keyframe' * self.is_keyframe}>"
 
     @property
     def position(self) -> Floats | None:

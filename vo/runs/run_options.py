@@ -112,17 +112,25 @@ class RunOptions:
         Raises:
             ConfigError: an option is unknown, or its value is of another type.
         """
-        kinds = get_type_hints(cls)
-        checked: dict[str, Any] = {}
-        for name, value in given.items():
-            if name not in kinds:
-                raise ConfigError(f"unknown option '{name}'{nearest(name, list(kinds))}")
-            if not _is(value, kinds[name]):
-                shown = " ".join(repr(value)[:80].split())
-                raise ConfigError(f"the option {name} is {shown}, not {_name(kinds[name])}")
-            is_path = isinstance(value, str) and Path in get_args(kinds[name])
-            checked[name] = Path(value) if is_path else value
-        return cls(**checked)
+        return cls(**checked_options(given, get_type_hints(cls)))
+
+
+def checked_options(given: Mapping[str, Any], kinds: Mapping[str, Any]) -> dict[str, Any]:
+    """Options by name, with texts of files as paths.
+
+    Raises:
+        ConfigError: an option is unknown, or its value is not of its type in `kinds`.
+    """
+    checked: dict[str, Any] = {}
+    for name, value in given.items():
+        if name not in kinds:
+            raise ConfigError(f"unknown option '{name}'{nearest(name, list(kinds))}")
+        if not _is(value, kinds[name]):
+            shown = " ".join(repr(value)[:80].split())
+            raise ConfigError(f"the option {name} is {shown}, not {_name(kinds[name])}")
+        is_path = isinstance(value, str) and Path in get_args(kinds[name])
+        checked[name] = Path(value) if is_path else value
+    return checked
 
 
 def _is(value: object, kind: Any) -> bool:
@@ -148,7 +156,8 @@ def _name(kind: Any) -> str:
     """A type in words."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
-        return " or ".join(dict.fromkeys(_name(each) for each in parts))
+        named = [each for each in parts if each is not str or Path not in parts]
+        return " or ".join(dict.fromkeys(map(_name, named)))
     if origin is Literal:
         return f"one of {', '.join(map(repr, parts))}"
     if origin is Sequence:
