@@ -85,6 +85,33 @@ def test_images_of_a_pattern_are_not_replaced(images: Path) -> None:
     refuse_to_overwrite([pattern], [images / "out" / "sheet.png", images.parent / "0.png"])
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["info", "images", "--picture", "link.png"],
+        ["features", "images", "--picture", "link.png"],
+        ["match", "images:0", "images:1", "--picture", "link.png"],
+        ["markers", "images", "--length", "0.1", "--csv", "link.csv"],
+        ["markers", "--print", "link.pdf", "--length", "0.1"],
+        ["calibrate", "--print-board", "link.png", "--force"],
+        ["calibrate", "images", "-o", "link.yaml", "--force"],
+        ["convert", "images", "link.mcap", "--force"],
+        ["vocabulary", "train", "images", "-o", "link.words"],
+        ["run", "images", "-o", "out", "--loops", "--save-map", "link.vomap"],
+        ["run", "images", "-o", "out", "--ply", "link.ply"],
+    ],
+)
+def test_links_are_not_followed(
+    words: list[str], images: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(images.parent)
+    link = next(Path(word) for word in words if word.startswith("link."))
+    Path("mine").write_text("mine", encoding="utf-8")
+    link.symlink_to("mine")
+    assert_refused(vo(*words), f"{link} is a symbolic link, which is not followed")
+    assert Path("mine").read_text(encoding="utf-8") == "mine"
+
+
 @pytest.mark.parametrize("option", ["--rrd", "--mcap", "--ply", "--colmap"])
 @pytest.mark.parametrize("read", ["--map", "--vocabulary"])
 def test_a_map_and_a_vocabulary_are_not_replaced_by_another_output(

@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 def refuse_existing(request: Request, paths: list[Path | None]) -> None:
-    """Refuse to replace files without --force."""
+    """Refuse to replace files without --force, and what links lead to at all."""
+    from vo.outputs.results.output_paths import refuse_links
+
+    refuse_links(paths)
     for path in paths:
         if path is not None and path.is_file() and not request.force:
             raise OutputError(f"{path} exists already; choose another file, or replace it: --force")

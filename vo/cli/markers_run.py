@@ -72,6 +72,7 @@ def write_sheet(request: Request, *, is_json: bool) -> None:
     """Write markers or a board to print; raises `VoError`."""
     path, length_m = request.sheet, request.length
     assert path is not None
+    refuse_to_overwrite([], [path])
     name = dictionary_name(request.dictionary)
     name = DEFAULT_TO_PRINT if name == AUTO else name
     board = _board(request, name)

@@ -24,7 +24,6 @@ from vo.outputs.recorders.recorder import NullRecorder, Recorder
 from vo.outputs.results.folder import RESULTS, RunFolder, RunSpace
 from vo.outputs.results.output_paths import (
     locked_folder,
-    refuse_links,
     refuse_to_collide,
     refuse_to_overwrite,
 )
@@ -159,7 +158,6 @@ def _check_outputs(
     # Only the new map may replace the old one.
     refuse_to_overwrite([Path(memory.map) if memory.map else None], (Path(output), *files))
     refuse_to_collide(Path(output), (*files, save_map))
-    refuse_links(files)
 
 
 def _check_readout(stream: FrameStream, config: Config) -> None:

@@ -25,12 +25,15 @@ def refuse_to_overwrite(inputs: Iterable[Path | None], outputs: Iterable[Path | 
     files are ignored. `outputs`: files and folders to write; None is ignored.
 
     Raises:
-        OutputError: an output is an input, or in a folder that is an input.
+        OutputError: an output is an input, in a folder that is an input, or a symbolic link to a
+            file, which would be replaced behind it.
     """
     read = [path for path in inputs if path is not None]
-    for target in (path for path in outputs if path is not None):
+    targets = [path for path in outputs if path is not None]
+    for target in targets:
         for path in read:
             _check(path, target)
+    refuse_links(targets)
 
 
 def _check(path: Path, target: Path) -> None:

@@ -160,7 +160,18 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
     assert not (tmp_path / "boom").exists()
 
 
-@pytest.mark.parametrize("shape", ["(10000000000000,)", "(3, 10000000000000)", "(-1,)", "(9,)"])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        "(10000000000000,)",
+        "(3, 10000000000000)",
+        "(-1,)",
+        "(9,)",
+        "(True, 9)",
+        "(3.0, 3)",
+        "[" * 900,
+    ],
+)
 @pytest.mark.parametrize("version", [1, 2])
 def test_an_array_that_states_more_than_it_has_is_left_out(
     tmp_path: Path, shape: str, version: int

@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,15 @@ ImageSize = tuple[int, int]
 _MAX_LARGE_BYTES = 16 * 2**20
 """Of archives, and of JSON, which is fast; NeRF's transforms.json with 10,000 poses has 10 MB."""
 
-
 _MAX_MEMBER_BYTES = 2**20
 _MAX_VALUES = 64
 """Larger arrays, such as the poses of all boards, are no part of a calibration."""
+
+_NO_ARRAY = (
+    *(ValueError, OSError, EOFError, OverflowError, TypeError, SyntaxError, TokenError),
+    *(RecursionError, MemoryError),
+)
+"""What numpy raises for an object, a header that is none, or brackets without end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +171,6 @@ def _read_array(name: str, data: bytes) -> dict[str, Any]:
         if not 0 <= math.prod(shape) <= _MAX_VALUES or dtype.kind in "cMmVO":
             return {}
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError, OverflowError):  # an object, or not an array
+    except _NO_ARRAY:
         return {}
     return {name: array.tolist()}
