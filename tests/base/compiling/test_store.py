@@ -58,7 +58,7 @@ def test_files_are_no_pickles_and_the_folder_is_closed_to_others(shared: Path) -
     file = _saved(shared)
     assert not stat.S_IMODE((shared / "vo").stat().st_mode) & 0o022
     assert not stat.S_IMODE(file.stat().st_mode) & 0o022
-    assert file.read_bytes()[32:].startswith(b"vo machine code 1\n")
+    assert file.read_bytes()[32:].startswith(b"vo machine code 2\n")
     with pytest.raises(pickle.UnpicklingError):
         pickle.loads(file.read_bytes()[32:])
     assert {f.suffix for f in (shared / "vo").iterdir()} == {".bin"}  # nothing temporary is left
@@ -156,3 +156,5 @@ def test_a_file_gives_back_what_was_saved(shared: Path, constants: list[Any]) ->
     path = shared / "vo" / "name-a-b.bin"
     store.save(path, code)
     assert store.load(path) == code
+    path.rename(path.with_name("other-a-b.bin"))  # of another function
+    assert store.load(path.with_name("other-a-b.bin")) is None

@@ -4,9 +4,9 @@ Machine code runs with the rights of the user, so that it is only loaded from fi
 else could have written: those of this user or of root, in a folder of this user or of root, which
 others cannot write to. The folder beside this module is as safe as the module itself.
 
-A file holds the SHA-256 of the rest (32 bytes), `_MAGIC`, the length of a header (4 bytes, little
-endian), the header in JSON (`entry`, `environment`, `constants`) and the object file. A constant is
-a dtype in numpy's notation.
+A file holds the SHA-256 of its name and the rest (32 bytes), `_MAGIC`, the length of a header (4
+bytes, little endian), the header in JSON (`entry`, `environment`, `constants`) and the object file.
+A constant is a dtype in numpy's notation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from vo.base.compiling import machine_code
 from vo.base.compiling.machine_code import MachineCode
 
 _log = logging.getLogger(__name__)
-_MAGIC = b"vo machine code 1\n"
+_MAGIC = b"vo machine code 2\n"
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _MAX_BYTES = 64 * 2**20  # the largest function takes 0.1 MB
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -56,7 +56,7 @@ def load(path: Path) -> MachineCode | None:
     except OSError:
         return None
     digest, content = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
-    if hashlib.sha256(content).digest() != digest or not content.startswith(_MAGIC):
+    if _digest(path, content) != digest or not content.startswith(_MAGIC):
         return None
     begin = len(_MAGIC) + 4
     end = begin + int.from_bytes(content[len(_MAGIC) : begin], "little")
@@ -84,12 +84,16 @@ def save(path: Path, code: MachineCode) -> None:
     outdated = path.name.rpartition("-")[0]
     try:
         create_folder()
-        _write(path, hashlib.sha256(content).digest() + content)
+        _write(path, _digest(path, content) + content)
         for other in path.parent.glob(f"{outdated}-*"):
             if other != path:
                 other.unlink(missing_ok=True)
     except OSError as error:
         _log.info("machine code cannot be saved: %s", error)
+
+
+def _digest(path: Path, content: bytes) -> bytes:
+    return hashlib.sha256(path.name.encode() + content).digest()
 
 
 def _write(path: Path, data: bytes) -> None:
