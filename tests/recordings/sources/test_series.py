@@ -21,6 +21,7 @@ COUNT = layouts.COUNT
 STAMPS = [str(stamp) for stamp in layouts.STAMPS_NS]
 COUNTERS = [f"{i:04d}" for i in range(COUNT)]
 DECIMALS = [layouts.seconds(stamp) for stamp in layouts.STAMPS_NS]
+LARGER = layouts.CALIBRATION.replace("64", "320").replace("48", "240")
 PAIRS = [
     "{}_left {}_right",
     "left_{} right_{}",
@@ -104,7 +105,7 @@ REFUSED = ["a_{} b_{}", "{} {}_x", "cam0_{} cam1_{} cam2_{}", "left_{} right_{} 
 
 
 @pytest.mark.parametrize("names", REFUSED)
-@pytest.mark.parametrize("keys", [STAMPS, COUNTERS], ids=["ns", "counters"])
+@pytest.mark.parametrize("keys", [STAMPS, COUNTERS, DECIMALS], ids=["ns", "counters", "s"])
 def test_advice_where_names_do_not_say_the_role(
     tmp_path: Path, names: str, keys: list[str]
 ) -> None:
@@ -158,6 +159,7 @@ def views(right: bool, count: int) -> list[Bytes]:
 
 
 NUMBERED = ["0_{} 1_{}", "{}_0 {}_1", "1_{} 2_{}", "frame{}-0 frame{}-1", "im0_{} im1_{}"]
+NUMBERED += ["19443010_{} 19443021_{}"]  # serial numbers, no dates
 
 
 @pytest.mark.parametrize("names", NUMBERED)
@@ -172,6 +174,17 @@ def test_pairs_by_content(tmp_path: Path, names: str) -> None:
     assert [p.stem for p in found.right.images] == [right_name.format(key) for key in COUNTERS]
 
 
+@pytest.mark.parametrize("is_in_turn", [True, False])
+def test_images_of_two_cameras_in_turn_are_doubtful(
+    tmp_path: Path, is_in_turn: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    for i in range(12):
+        layouts.write_image(tmp_path / f"{i}.png", views(is_in_turn and i % 2 == 1, 12)[i])
+    layouts.write_text(tmp_path / "calibration.yaml", LARGER)
+    assert len(open_source(tmp_path)) == 12
+    assert ("of two cameras in turn, and are read as one" in caplog.text) == is_in_turn
+
+
 def test_one_camera_counted_in_parts_stays_one(tmp_path: Path) -> None:
     for i, image in enumerate(views(False, 12)):
         layouts.write_image(tmp_path / f"part_{i // 6}_{i % 6}.png", image)
@@ -181,8 +194,7 @@ def test_one_camera_counted_in_parts_stays_one(tmp_path: Path) -> None:
 def test_times_say_that_images_are_of_one_camera(tmp_path: Path) -> None:
     for i, image in enumerate(views(False, 12)):  # two images of each number
         layouts.write_image(tmp_path / f"{i // 2}_{i % 2}.png", image)
-    calibration = layouts.CALIBRATION.replace("64", "320").replace("48", "240")
-    layouts.write_text(tmp_path / "calibration.yaml", calibration)
+    layouts.write_text(tmp_path / "calibration.yaml", LARGER)
     with pytest.raises(SourceError, match="2 cameras; .* add times.txt with the time of each"):
         open_source(tmp_path)
     layouts.write_text(tmp_path / "times.txt", "".join(f"{0.1 * i:.1f}\n" for i in range(12)))

@@ -26,6 +26,7 @@ from vo.recordings.sources.listing import (
 )
 from vo.recordings.sources.pairing import copy_stamps
 from vo.recordings.sources.series import Series, find_cameras
+from vo.recordings.sources.series_content import warn_of_turns
 
 _log = logging.getLogger(__name__)
 
@@ -106,6 +107,8 @@ def _cameras(
     if is_one:
         return _Listed(*assign_stamps(images, where, times, faults))
     cameras = find_cameras(images)
+    if cameras.right is None and cameras.depth is None:
+        warn_of_turns(cameras.left.images)
     one = cameras.left
     left, named = assign_stamps(one.images, where, times, faults, one.stems)
     return _Listed(

@@ -28,7 +28,7 @@ _DEPTH = re.compile(r"depth|depthmap|disp|disparity|d|z", re.I)
 _BESIDE = re.compile(
     r"masks?|conf(?:idence)?|seg(?:mentation)?|semantics?|labels?|normals?|flow", re.I
 )
-_DATE = re.compile(r"\d{4}-?\d\d-?\d\d[T_ -]+\d\d[-:_]?\d\d")
+_DATE = re.compile(r"\d{4}-?(?:0\d|1[0-2])-?[0-3]\d[T_ -]+[0-2]\d[-:_]?[0-5]\d")
 _MAX_CAMERAS = 8
 _MIN_IMAGES = 3  # of series whose names say nothing
 _MIN_COMMON = 0.8  # ratio of numbers that both series have
@@ -141,7 +141,7 @@ def _split(images: Sequence[Path]) -> list[Series]:
     is_date = _DATE.search(named[0].stem) is not None
     for place in range(len(named[0].numbers)):
         values = {each.numbers[place] for each in named}
-        if 2 <= len(values) <= _MAX_CAMERAS and max(values) < 10:
+        if 2 <= len(values) <= _MAX_CAMERAS:  # such as serial numbers
             by_value = [[e for e in named if e.numbers[place] == value] for value in sorted(values)]
             found = _series(by_value, place)
             if _is_camera(words, place) or (not is_date and _are_alike(found, images)):
@@ -246,16 +246,16 @@ def _which(series: Sequence[Series], images: Sequence[Path]) -> str:
 def _pattern(series: Series, images: Sequence[Path]) -> str:
     """A pattern that the images of a series match, and no other of the folder."""
     first, wanted = series.images[0], {path.name for path in series.images}
-    constant = {
-        n for n in re.findall(r"\d+", first.stem) if all(n in p.stem for p in series.images)
-    }
-    for kept in (set[str](), constant):
+    parts = re.split(r"(\d+)", glob.escape(first.stem))
+    others = [re.split(r"(\d+)", glob.escape(path.stem)) for path in series.images]
+    constant = {n for n, same in enumerate(zip(*others, strict=False)) if len(set(same)) == 1}
+    for kept in (set[int](), constant):
         for text in ("*", "[0-9]*", ""):
-            parts = [
-                part if part in kept or not part.isdecimal() else text or "[0-9]" * len(part)
-                for part in re.split(r"(\d+)", glob.escape(first.stem))
-            ]
-            pattern = "".join(parts) + first.suffix
+            pattern = "".join(
+                part if n in kept or not part.isdecimal() else text or "[0-9]" * len(part)
+                for n, part in enumerate(parts)
+            )
+            pattern += first.suffix
             if {p.name for p in images if fnmatch.fnmatchcase(p.name, pattern)} == wanted:
                 return str(Path(glob.escape(str(first.parent))) / pattern)
     return str(first.parent)

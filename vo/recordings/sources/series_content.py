@@ -24,6 +24,10 @@ _SEAM = 0.8  # of the matches from one image to the next
 _ONE_DIRECTION = 0.9  # length of the mean of unit vectors
 _WIDE, _TALL = 1.8, 0.95  # width by height of two images in one, and the opposite
 _LEVEL_PX, _MOSTLY = 3.0, 0.6
+_IN_TURN, _BACK = (
+    7,
+    0.5,
+)  # images that are looked at; the part of each change of motion that is undone
 _MIN_RATIO = 3.0  # of matches in a pair to those in images of other places
 
 
@@ -88,6 +92,44 @@ def warn_of_halves(name: str, image: Pixels) -> None:
                 extra=warning_kind("calibration"),
             )
             return
+
+
+def warn_of_turns(images: Sequence[Path]) -> None:
+    """Warn of images of two cameras in turn: what is seen goes to and fro from each to the next."""
+    begins = {0, max(0, len(images) // 2 - _IN_TURN)}
+    if len(images) >= _IN_TURN and all(_is_in_turn(images[n : n + _IN_TURN]) for n in begins):
+        _log.warning(
+            "%s: images seem to be of two cameras in turn, and are read as one: put every second "
+            "one into a folder left, and the others into a folder right",
+            images[0].parent,
+            extra=warning_kind("calibration"),
+        )
+
+
+def _is_in_turn(images: Sequence[Path]) -> bool:
+    before: _Features | None = None
+    motion: Floats | None = None
+    change: Floats | None = None
+    for path in images:
+        try:
+            now = _features(path)
+        except SourceError:
+            return False  # reported when the recording is read
+        motions = np.empty((0, 2)) if before is None else _motions(before, now)
+        if before is not None and len(motions) < _MIN_MATCHES:
+            return False
+        last = motion
+        motion = np.median(motions, axis=0) if len(motions) else None
+        if last is not None and motion is not None:  # what moves steadily has no change
+            last_change = change
+            change = motion - last
+            is_back = (
+                last_change is None or change @ last_change < -_BACK * last_change @ last_change
+            )
+            if not is_back or np.linalg.norm(change) < _LEVEL_PX:
+                return False
+        before = now
+    return True
 
 
 def _features(path: Path) -> _Features:
