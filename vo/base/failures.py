@@ -30,6 +30,7 @@ class FailureReason(Enum):
     NO_ESSENTIAL_MATRIX = "no essential matrix fits the matches"
     PURE_ROTATION = "the camera only turns"
     AMBIGUOUS_PLANE = "the plane in view allows two motions"
+    OTHER_ROTATION = "the motion turns by {value:.1f}° from that of the gyroscope"
     FEW_GOOD_POINTS = "{value:.0f} of {needed:.0f} inliers make good points, too few"
     LITTLE_PARALLAX = "{value:.2f}° of parallax, {needed}° needed"
     NO_DEPTH = "the right image, or depth, is missing"

@@ -24,6 +24,7 @@ _NEEDS_TRANSLATION = frozenset(
         FailureReason.PURE_ROTATION,
         FailureReason.LITTLE_PARALLAX,
         FailureReason.AMBIGUOUS_PLANE,
+        FailureReason.OTHER_ROTATION,
         FailureReason.FEW_GOOD_POINTS,
     }
 )

@@ -214,7 +214,7 @@ def _motion(
     if rig.is_metric and rig.readout_s == 0.0:
         return InertialMotion(ConstantVelocity(), predictor)
     turning = GyroMotion(reader, predictor.imu_from_cam)
-    return InertialMotion(turning, predictor)
+    return InertialMotion(turning, predictor, is_metric=rig.is_metric)
 
 
 def _local_map(
@@ -242,12 +242,11 @@ def _initializers(
     config: Config,
     predictor: InertialPredictor | None,
 ) -> tuple[StereoInitializer, MonocularInitializer, MonocularInitializer]:
-    turns = None if predictor is None else predictor.turns
     by_flow = config.tracking.method == "klt"
     parts = local_map, mapper, frontend, config.start, config.tracking.search_ratio
     return (
         StereoInitializer(local_map, mapper, config.start.min_points),
-        MonocularInitializer(*parts, by_flow=by_flow, turns=turns),
+        MonocularInitializer(*parts, by_flow=by_flow, predictor=predictor),
         MonocularInitializer(*parts, by_flow=by_flow),
     )
 

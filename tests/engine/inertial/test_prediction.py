@@ -105,3 +105,14 @@ def test_a_motion_that_is_inertial_alone_keeps_a_hundredth_of_its_information() 
     np.testing.assert_allclose(
         without_inertial(2.0 * inertial, inertial), 200.0 * inertial, rtol=1e-6
     )
+
+
+def test_rotations_by_the_gyroscope_need_its_bias() -> None:
+    predictor = _predictor()
+    assert predictor.turned(_FIRST, _LAST) is None
+    predictor.gyro_bias = GYRO_BIAS
+    turned = predictor.turned(_FIRST, _LAST)
+    assert turned is not None
+    first, last = world_from_cam(np.array([_FIRST, _LAST]))
+    np.testing.assert_allclose(turned, first[:3, :3].T @ last[:3, :3], atol=1e-4)
+    assert predictor.turned(_LAST, _LAST + 10**12) is None

@@ -12,6 +12,7 @@ from inertial_flight import GYRO_BIAS, IMU_FROM_CAM, NOISE, START_NS, Samples, S
 from vo.base.geometry.transforms import inverse, make_transform, rotation_angle
 from vo.base.types import Floats, Ints, KeyframePose
 from vo.engine.geometry import so3
+from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.turning import TurnLog, orientations, turning_between, upright_from_first
 from vo.engine.inertial_path.turns import InertialTurns
@@ -102,6 +103,15 @@ def test_a_gyroscope_with_wrong_axes_is_not_believed() -> None:
     assert turning_between(_log().turns, times, reader, IMU_FROM_CAM) is None
 
 
+def _parts(
+    builder: TrajectoryBuilder, log: TurnLog, source: Sensor
+) -> tuple[TrajectoryBuilder, InertialPredictor, SampleReader, Floats]:
+    reader = SampleReader(source)
+    predictor = InertialPredictor(reader, NOISE, IMU_FROM_CAM)
+    predictor.turns = log
+    return builder, predictor, reader, IMU_FROM_CAM
+
+
 def _turned(tracked: Ints) -> tuple[TrajectoryBuilder, list[InertialFrame]]:
     """All frames were reached, and some of them have a pose, relative to one keyframe."""
     builder, source = TrajectoryBuilder(np.eye(4)), _sensor()
@@ -113,9 +123,7 @@ def _turned(tracked: Ints) -> tuple[TrajectoryBuilder, list[InertialFrame]]:
             if k == tracked[0]:
                 builder.store.store(0, KeyframePose(k, stamp, 0, pose, None))
             builder.store.add(k, stamp, 0, 0, pose)
-    turns = InertialTurns(
-        *(builder, _log(), SampleReader(source), NOISE, IMU_FROM_CAM, IMU_FROM_CAM)
-    )
+    turns = InertialTurns(*_parts(builder, _log(), source))
     return builder, turns.turned([])
 
 
@@ -154,5 +162,5 @@ def test_frames_far_from_any_image_that_shows_a_turn_have_no_orientation() -> No
         builder.reach(frame)
     log = _log()
     log.turns = [turn for turn in log.turns if turn.last_ns < _FRAMES[40]]
-    turns = InertialTurns(*(builder, log, SampleReader(source), NOISE, IMU_FROM_CAM, IMU_FROM_CAM))
+    turns = InertialTurns(*_parts(builder, log, source))
     assert [frame.frame_index for frame in turns.turned([])] == list(range(50))

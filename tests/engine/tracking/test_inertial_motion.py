@@ -28,9 +28,9 @@ def _predictor() -> InertialPredictor:
     return InertialPredictor(SampleReader(sensor()), NOISE, IMU_FROM_CAM)
 
 
-def _tracked(predictor: InertialPredictor) -> InertialMotion:
+def _tracked(predictor: InertialPredictor, *, is_metric: bool = True) -> InertialMotion:
     """The first frames tracked, and the motion known at the last but two of them."""
-    motion = InertialMotion(ConstantVelocity(), predictor)
+    motion = InertialMotion(ConstantVelocity(), predictor, is_metric=is_metric)
     motion.restart(int(_STAMPS[0]), _TRUE[0])
     for k in range(1, _TRACKED):
         motion.predict(int(_STAMPS[k]))
@@ -39,6 +39,7 @@ def _tracked(predictor: InertialPredictor) -> InertialMotion:
     rotation, position, velocity, _, _ = path(np.array([1e-9 * (at - START_NS)]))
     states = States(rotation, position, velocity, GYRO_BIAS[None], ACCEL_BIAS[None], np.zeros(1))
     predictor.known = known_motion(at, states, np.diag(np.full(WIDTH, 1e-6)))
+    predictor.gyro_bias = GYRO_BIAS
     return motion
 
 
@@ -61,6 +62,29 @@ def test_the_frame_after_a_tracked_one_is_predicted_as_without_a_sensor() -> Non
     motion, stamp = _tracked(_predictor()), int(_STAMPS[_TRACKED])
     assert (motion.predict(stamp) == _usual().predict(stamp)).all()
     assert motion.prior(stamp) is None
+
+
+def test_in_a_quick_turn_and_after_it_the_sensor_leads_a_single_camera(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stamps = [int(stamp) for stamp in _STAMPS[_TRACKED : _TRACKED + 8]]
+    slow = _tracked(_predictor(), is_metric=False)
+    assert slow.prior(stamps[0]) is None
+    monkeypatch.setattr("vo.engine.tracking.inertial_motion.QUICK_RAD_S", 0.05)
+    two, one = (_tracked(_predictor(), is_metric=each) for each in (True, False))
+    assert two.prior(stamps[0]) is None
+    prior = one.prior(stamps[0])
+    assert prior is not None and prior.leads
+    assert np.abs(se3_log(inverse(prior.world_from_cam) @ _TRUE[_TRACKED])).max() < 1e-3
+    one.update(stamps[0], _TRUE[_TRACKED])
+    (gap,) = one.gaps
+    assert gap.last_ns == stamps[0]  # a factor of the window
+    monkeypatch.setattr("vo.engine.tracking.inertial_motion.QUICK_RAD_S", 5.0)
+    leading = []
+    for k, stamp in enumerate(stamps[1:], start=_TRACKED + 1):
+        leading.append(one.prior(stamp) is not None)
+        one.update(stamp, _TRUE[k])
+    assert leading == [True] * 6 + [False]
 
 
 def test_a_second_of_lost_frames_is_predicted() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from inertial_flight import NOISE, Samples, Sensor
 
 from vo.base.config import Config
 from vo.base.failures import Failure, FailureReason
@@ -15,6 +16,8 @@ from vo.base.types import Bytes, Camera, Floats, Frame, Rig
 from vo.engine.frontend.frontend import make_frontend
 from vo.engine.frontend.preprocessing import FramePreprocessor
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
+from vo.engine.inertial.prediction import InertialPredictor
+from vo.engine.inertial.samples import SampleReader
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.tracking.monocular_initializer import InitialPair, MonocularInitializer
@@ -25,6 +28,7 @@ RIG = rectified_rig(Rig(Camera(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 
 NORMAL, AWAY = np.array([0.0, 0.6, 0.8]), 6.0  # of the ground, seen by the first camera
 FLIGHT = np.array([0.01, -0.02, 0.01, -0.1, 1.2, -1.5])  # cam_from_first after all frames
 FRAMES = 24
+_FRAME_NS = 50_000_000
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +62,10 @@ def _image(texture: Floats, frame: int) -> Bytes:
 
 
 def _first_pair(
-    images: list[Bytes], rig: RectifiedRig, config: Config
+    images: list[Bytes],
+    rig: RectifiedRig,
+    config: Config,
+    predictor: InertialPredictor | None = None,
 ) -> tuple[InitialPair, list[Failure]]:
     frontend = make_frontend(config)
     extractor, matcher, patches, _ = frontend
@@ -67,10 +74,11 @@ def _first_pair(
     local_map = LocalMap(rig, 4, extractor.descriptor_format)
     mapper = LocalMapper(local_map, frontend, config.mapping, Stopwatch())
     search_ratio = config.tracking.search_ratio
-    initializer = MonocularInitializer(local_map, mapper, frontend, config.start, search_ratio)
+    parts = local_map, mapper, frontend, config.start, search_ratio
+    initializer = MonocularInitializer(*parts, predictor=predictor)
     failures: list[Failure] = []
     for index, image in enumerate(images):
-        frame = preprocessor.submit(Frame(index, index, (image,))).result()
+        frame = preprocessor.submit(Frame(index, index * _FRAME_NS, (image,))).result()
         found = initializer.attempt(frame)
         if isinstance(found, InitialPair):
             return found, failures
@@ -93,3 +101,27 @@ def test_over_flat_ground_intermediate_frames_decide_on_the_motion(images: list[
     points = pair.two_view.points[pair.two_view.good]
     off = points @ NORMAL / np.median(points @ NORMAL) - 1.0
     assert np.median(np.abs(off)) < 0.02  # they lie on the ground
+
+
+def _gyroscope(rate: Floats) -> InertialPredictor:
+    """One that measures this rate, in the axes of the camera, while the camera flies."""
+    stamps = np.arange(-20, 300) * 5_000_000
+    samples = Samples(stamps, np.tile(rate, (len(stamps), 1)), np.zeros((len(stamps), 3)))
+    return InertialPredictor(SampleReader(Sensor(samples, np.eye(4))), NOISE, np.eye(4))
+
+
+def test_a_motion_that_turns_otherwise_than_the_gyroscope_makes_no_map(
+    images: list[Bytes],
+) -> None:
+    rate = FLIGHT[:3] / (1e-9 * FRAMES * _FRAME_NS)
+    wrong = rate + np.array([0.0, 0.2, 0.0])
+    config, right = Config(), _gyroscope(rate)
+    right.gyro_bias = np.zeros(3)
+    usual = _first_pair(images, RIG, config)[0]
+    assert _first_pair(images, RIG, config, right)[0].current.index == usual.current.index
+    unknown = _first_pair(images, RIG, config, _gyroscope(wrong))[0]  # its bias may explain it
+    assert unknown.current.index == usual.current.index
+    other = _gyroscope(wrong)
+    other.gyro_bias = np.zeros(3)
+    with pytest.raises(pytest.fail.Exception, match="OTHER_ROTATION"):
+        _first_pair(images, RIG, config, other)

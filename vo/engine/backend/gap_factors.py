@@ -8,35 +8,16 @@ from typing import TYPE_CHECKING, Protocol
 
 from vo.base.types import Floats
 from vo.engine.backend.window_problem import WindowFactor
-from vo.engine.inertial.prediction import KnownMotion, RelativeMotion
+from vo.engine.inertial.prediction import Gap, InertialPredictor, RelativeMotion
 from vo.engine.mapping.keyframe import Keyframe
 
 if TYPE_CHECKING:
     import gtsam
 
 
-class _Gap(Protocol):
-    @property
-    def first_ns(self) -> int: ...
-
-    @property
-    def last_ns(self) -> int: ...
-
-    @property
-    def known(self) -> KnownMotion: ...
-
-
 class _Gaps(Protocol):
     @property
-    def gaps(self) -> Sequence[_Gap]: ...
-
-
-class _Predictor(Protocol):
-    in_windows: dict[tuple[int, int], RelativeMotion | None]
-
-    def motion(
-        self, known: KnownMotion | None, first_ns: int, last_ns: int
-    ) -> RelativeMotion | None: ...
+    def gaps(self) -> Sequence[Gap]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +50,7 @@ class GapFactors:
     that they alone determine the pose badly. The predictor gets the motions that windows contain.
     """
 
-    def __init__(self, motion: _Gaps, predictor: _Predictor) -> None:
+    def __init__(self, motion: _Gaps, predictor: InertialPredictor) -> None:
         self._motion, self._predictor = motion, predictor
 
     def factors(self, keyframes: Sequence[Keyframe]) -> list[WindowFactor]:
@@ -88,7 +69,7 @@ class GapFactors:
         """Nothing to receive."""
 
     def _motion_between(
-        self, first: Keyframe, second: Keyframe, gaps: Sequence[_Gap]
+        self, first: Keyframe, second: Keyframe, gaps: Sequence[Gap]
     ) -> RelativeMotion | None:
         times = first.frame.stamp_ns, second.frame.stamp_ns
         between = [g for g in gaps if times[0] <= g.first_ns and g.last_ns <= times[1]]

@@ -33,26 +33,17 @@ _MAX_PARTS = 4
 
 
 class Deviation(NamedTuple):
-    """What one more unknown would be; 0 is expected.
+    """What one more unknown would be; 0 is expected."""
 
-    Attributes:
-        value: relative for the scale and for gravity's magnitude, radians for its direction.
-        sigma: standard deviation.
-    """
-
-    value: float
-    sigma: float
+    value: float  # relative for the scale and for gravity's magnitude, radians for its direction
+    sigma: float  # standard deviation
 
 
 class Agreement(NamedTuple):
-    """Result of all tests.
+    """Result of all tests."""
 
-    Attributes:
-        contradiction: what contradicts the images, in words; None where they agree.
-        excess: by which standard deviations of states are too small, 1 where nothing shows it.
-    """
-
-    contradiction: str | None = None
+    contradiction: str | None = None  # what contradicts the images, in words; None where they agree
+    # by which standard deviations of states are too small, 1 where nothing shows it
     excess: float = 1.0
 
 

@@ -30,35 +30,21 @@ _MIN_SIGMA = 1e-6  # of velocities and biases
 
 
 class EndState(NamedTuple):
-    """A known pose at one end, and what is known of the motion there.
+    """A known pose at one end, and what is known of the motion there."""
 
-    Attributes:
-        stamp_ns: its time.
-        world_from_imu: (4, 4) in a world whose z axis points up, m.
-        velocity: (3,) m/s in that world, None if it is unknown.
-        gyro_bias: (3,) rad/s.
-        accel_bias: (3,) m/s².
-        covariance: (9, 9) of velocity and biases.
-    """
-
-    stamp_ns: int
-    world_from_imu: Floats
-    velocity: Floats | None
-    gyro_bias: Floats
-    accel_bias: Floats
-    covariance: Floats
+    stamp_ns: int  # its time
+    world_from_imu: Floats  # (4, 4) in a world whose z axis points up, m
+    velocity: Floats | None  # (3,) m/s in that world, None if it is unknown
+    gyro_bias: Floats  # (3,) rad/s
+    accel_bias: Floats  # (3,) m/s²
+    covariance: Floats  # (9, 9) of velocity and biases
 
 
 class Bridge(NamedTuple):
-    """Poses between two ends.
+    """Poses between two ends."""
 
-    Attributes:
-        world_from_imu: (n, 4, 4).
-        covariance: (n, 6, 6) relative to the ends: rotation as a tangent on the right, position in
-            the world.
-    """
-
-    world_from_imu: Floats
+    world_from_imu: Floats  # (n, 4, 4)
+    # (n, 6, 6) relative to the ends: rotation as a tangent on the right, position in the world
     covariance: Floats
 
 

@@ -11,37 +11,22 @@ from vo.base.types import Floats
 
 
 class Equations(NamedTuple):
-    """Normal equations H x = -g of a chain, whose terms join neighbours only.
+    """Normal equations H x = -g of a chain, whose terms join neighbours only."""
 
-    Attributes:
-        before: (n, d, d) part of H[k, k] by terms with no later state.
-        after: (n, d, d) part of H[k, k] by terms with the next state.
-        coupling: (n - 1, d, d) H[k, k + 1].
-        gradient_before: (n, d) part of g[k], as of H.
-        gradient_after: (n, d).
-    """
-
-    before: Floats
-    after: Floats
-    coupling: Floats
-    gradient_before: Floats
-    gradient_after: Floats
+    before: Floats  # (n, d, d) part of H[k, k] by terms with no later state
+    after: Floats  # (n, d, d) part of H[k, k] by terms with the next state
+    coupling: Floats  # (n - 1, d, d) H[k, k + 1]
+    gradient_before: Floats  # (n, d) part of g[k], as of H
+    gradient_after: Floats  # (n, d)
 
 
 class ChainSolution(NamedTuple):
-    """Solution of normal equations.
+    """Solution of normal equations."""
 
-    Attributes:
-        step: (n, d).
-        covariance: (n, d, d) of each state.
-        reduced: (n, d, d) information on each state by all terms without a later one.
-        reduced_gradient: (n, d) the same of the gradient.
-    """
-
-    step: Floats
-    covariance: Floats
-    reduced: Floats
-    reduced_gradient: Floats
+    step: Floats  # (n, d)
+    covariance: Floats  # (n, d, d) of each state
+    reduced: Floats  # (n, d, d) information on each state by all terms without a later one
+    reduced_gradient: Floats  # (n, d) the same of the gradient
 
 
 def empty_equations(count: int, width: int) -> Equations:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.types import Floats, ImuNoise, Ints
+from vo.engine.geometry import so3
 from vo.engine.inertial.chain_solver import Equations, empty_equations, solve_chain
 from vo.engine.inertial.factor_kernels import add_changes, add_factors
 from vo.engine.inertial.factors import Linearised, as_arrays, inertial_residuals, visual_residuals
@@ -36,6 +37,8 @@ _FIXED_M, _FIXED_RAD = 1e-5, 1e-5
 _FIXED_LOG_SCALE = 1e-5
 # Errors of the visual odometry beside the windows' covariances: of each step, and of a length.
 _STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.001, 1e-4, 0.0015
+QUICK_RAD_S = 1.75  # a single camera that turns faster sees landmarks too shortly for a scale
+_TURN_LOG_SCALE = 0.007  # from one keyframe to the next in such a turn
 _METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
 _HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
@@ -45,33 +48,20 @@ _MIN_WALK = 1e-6  # rad/s and m/s², standard deviation of a bias's step
 
 
 class Prior(NamedTuple):
-    """Quadratic cost of the first state, by what was measured before it.
+    """Quadratic cost of the first state, by what was measured before it."""
 
-    Attributes:
-        at: the state (1) that it is about.
-        information: (WIDTH, WIDTH).
-        gradient: (WIDTH,) at that state.
-    """
-
-    at: States
-    information: Floats
-    gradient: Floats
+    at: States  # the state (1) that it is about
+    information: Floats  # (WIDTH, WIDTH)
+    gradient: Floats  # (WIDTH,) at that state
 
 
 class KnownBiases(NamedTuple):
-    """Biases of a sensor at some time, by what was measured before.
+    """Biases of a sensor at some time, by what was measured before."""
 
-    Attributes:
-        stamp_ns: the time.
-        gyro: (3,) rad/s.
-        accel: (3,) m/s².
-        covariance: (6, 6) of both.
-    """
-
-    stamp_ns: int
-    gyro: Floats
-    accel: Floats
-    covariance: Floats
+    stamp_ns: int  # the time
+    gyro: Floats  # (3,) rad/s
+    accel: Floats  # (3,) m/s²
+    covariance: Floats  # (6, 6) of both
 
     def at(self, stamp_ns: int, noise: ImuNoise) -> KnownBiases:
         """The same at a later time: biases walk."""
@@ -82,23 +72,14 @@ class KnownBiases(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """States, and what is known of their errors.
+    """States, and what is known of their errors."""
 
-    Attributes:
-        states: n of them.
-        covariance: (n, WIDTH, WIDTH).
-        misfit: root mean square of the normalised inertial and visual residuals.
-        has_converged: whether the iterations ended by themselves.
-        reduced: (n, WIDTH, WIDTH) information on each state by what was measured before it.
-        reduced_gradient: (n, WIDTH) the same of the gradient, at the states.
-    """
-
-    states: States
-    covariance: Floats
-    misfit: float
-    has_converged: bool
-    reduced: Floats
-    reduced_gradient: Floats
+    states: States  # n of them
+    covariance: Floats  # (n, WIDTH, WIDTH)
+    misfit: float  # root mean square of the normalised inertial and visual residuals
+    has_converged: bool  # whether the iterations ended by themselves
+    reduced: Floats  # (n, WIDTH, WIDTH) information on each state by what was measured before it
+    reduced_gradient: Floats  # (n, WIDTH) the same of the gradient, at the states
 
     def prior_of(self, row: int) -> Prior:
         """What the states before one say about it, for a chain that begins there."""
@@ -219,6 +200,8 @@ class ChainProblem:
             covariance, drift = without_scale(steps)
         covariance = _visual_covariance(steps, covariance)[self.visual_rows]
         self.visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
+        turned_rad = np.linalg.norm(so3.log(steps.visual[:, :3, :3]), axis=1)
+        drift[turned_rad > QUICK_RAD_S * steps.duration_s] += _TURN_LOG_SCALE**2
         self._sigma_scale = np.sqrt(_STEP_LOG_SCALE**2 + drift)
 
     def normal_equations(self, states: States) -> Equations:

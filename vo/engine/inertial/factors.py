@@ -14,37 +14,22 @@ from vo.engine.inertial.states import GRAVITY_M_S2, States
 
 
 class Linearised(NamedTuple):
-    """Residuals and their derivatives by the states at both ends.
+    """Residuals and their derivatives by the states at both ends."""
 
-    Attributes:
-        residual: (n, m).
-        first: (n, m, WIDTH) by the earlier state.
-        second: (n, m, WIDTH) by the later one.
-    """
-
-    residual: Floats
-    first: Floats
-    second: Floats
+    residual: Floats  # (n, m)
+    first: Floats  # (n, m, WIDTH) by the earlier state
+    second: Floats  # (n, m, WIDTH) by the later one
 
 
 class Motions(NamedTuple):
-    """n preintegrated motions as arrays.
+    """n preintegrated motions as arrays."""
 
-    Attributes:
-        duration_s: (n,).
-        rotation: (n, 3, 3).
-        moved: (n, 6) velocity and position.
-        jacobian: (n, 9, 6) as of `Preintegrated`, as the biases are.
-        gyro_bias: (n, 3).
-        accel_bias: (n, 3).
-    """
-
-    duration_s: Floats
-    rotation: Floats
-    moved: Floats
-    jacobian: Floats
-    gyro_bias: Floats
-    accel_bias: Floats
+    duration_s: Floats  # (n,)
+    rotation: Floats  # (n, 3, 3)
+    moved: Floats  # (n, 6) velocity and position
+    jacobian: Floats  # (n, 9, 6) as of `Preintegrated`, as the biases are
+    gyro_bias: Floats  # (n, 3)
+    accel_bias: Floats  # (n, 3)
 
 
 def as_arrays(measured: Sequence[Preintegrated]) -> Motions:

@@ -57,25 +57,15 @@ WRONG = (
 
 @dataclass(frozen=True, eq=False)
 class Keyframes:
-    """Poses of consecutive keyframes of one segment, and the samples between them.
+    """Poses of consecutive keyframes of one segment, and the samples between them."""
 
-    Attributes:
-        world_from_cam: (n, 4, 4) in the units and the frame of the visual map.
-        covariance: (n - 1, 6, 6) of the motions from each to the next, as in `Steps`.
-        intervals: n - 1.
-        is_metric: whether the unit is the metre.
-        imu_from_cam: (4, 4).
-        noise: of the sensor.
-        biases: at the first keyframe, None if nothing is known of them.
-    """
-
-    world_from_cam: Floats
-    covariance: Floats
-    intervals: tuple[Interval, ...]
-    is_metric: bool
-    imu_from_cam: Floats
-    noise: ImuNoise
-    biases: KnownBiases | None = None
+    world_from_cam: Floats  # (n, 4, 4) in the units and the frame of the visual map
+    covariance: Floats  # (n - 1, 6, 6) of the motions from each to the next, as in `Steps`
+    intervals: tuple[Interval, ...]  # n - 1
+    is_metric: bool  # whether the unit is the metre
+    imu_from_cam: Floats  # (4, 4)
+    noise: ImuNoise  # of the sensor
+    biases: KnownBiases | None = None  # at the first keyframe, None if nothing is known of them
 
     def steps(self, gyro_bias: Floats, accel_bias: Floats) -> Steps:
         """Measurements between the keyframes, with preintegration at given biases."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse, make_transform, skew
 from vo.base.types import Floats, ImuNoise
-from vo.engine.inertial.preintegration import Preintegrated, preintegrate
+from vo.engine.inertial.preintegration import Preintegrated, preintegrate, rotation_of
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import (
     ACCEL_BIAS,
@@ -28,37 +28,30 @@ _V, _G, _BIASES, _SCALE = slice(0, 3), slice(3, 6), slice(6, 12), 12
 
 
 class KnownMotion(NamedTuple):
-    """What is known of the motion at a time, in the frame of the sensor.
+    """What is known of the motion at a time, in the frame of the sensor."""
 
-    Attributes:
-        stamp_ns: the time.
-        velocity: (3,) m/s.
-        gravity: (3,) m/s², downwards.
-        gyro_bias: (3,) rad/s.
-        accel_bias: (3,) m/s².
-        scale: metres of one unit of the local map.
-        covariance: (13, 13) of velocity, gravity, biases and the logarithm of the scale.
-    """
+    stamp_ns: int  # the time
+    velocity: Floats  # (3,) m/s
+    gravity: Floats  # (3,) m/s², downwards
+    gyro_bias: Floats  # (3,) rad/s
+    accel_bias: Floats  # (3,) m/s²
+    scale: float  # metres of one unit of the local map
+    covariance: Floats  # (13, 13) of velocity, gravity, biases and the logarithm of the scale
 
-    stamp_ns: int
-    velocity: Floats
-    gravity: Floats
-    gyro_bias: Floats
-    accel_bias: Floats
-    scale: float
-    covariance: Floats
+
+class Gap(NamedTuple):
+    """Frames that were lost before one that was tracked."""
+
+    first_ns: int  # time of the tracked frame before them
+    last_ns: int  # time of the tracked frame after them
+    known: KnownMotion  # motion before them
 
 
 class RelativeMotion(NamedTuple):
-    """Motion of the rectified camera from one time to another.
+    """Motion of the rectified camera from one time to another."""
 
-    Attributes:
-        first_from_last: (4, 4) in units of the local map.
-        covariance: (6, 6) tangent on the right, rotation first.
-    """
-
-    first_from_last: Floats
-    covariance: Floats
+    first_from_last: Floats  # (4, 4) in units of the local map
+    covariance: Floats  # (6, 6) tangent on the right, rotation first
 
 
 def known_motion(stamp_ns: int, states: States, covariance: Floats) -> KnownMotion:
@@ -87,6 +80,7 @@ class InertialPredictor:
 
     Attributes:
         known: at the newest keyframe of the local map, None while it is unknown.
+        gyro_bias: (3,) the newest one that was known, None before.
         noise: of the sensor.
         imu_from_cam: (4, 4) of the rectified camera.
         turns: rotations between images that make no map yet.
@@ -101,10 +95,19 @@ class InertialPredictor:
 
     def __init__(self, reader: SampleReader, noise: ImuNoise, imu_from_cam: Floats) -> None:
         self.known: KnownMotion | None = None
+        self.gyro_bias: Floats | None = None
         self.noise, self.imu_from_cam = noise, imu_from_cam
         self.turns = TurnLog()
         self.in_windows: dict[tuple[int, int], RelativeMotion | None] = {}
         self._reader = reader
+
+    def turned(self, first_ns: int, last_ns: int) -> Floats | None:
+        """(3, 3) first_from_last of the camera by the gyroscope; None without bias or samples."""
+        bias, interval = self.gyro_bias, self._reader.between(first_ns, last_ns)
+        if bias is None or interval is None:
+            return None
+        to_imu = self.imu_from_cam[:3, :3]
+        return np.asarray(to_imu.T @ rotation_of(interval, bias) @ to_imu)
 
     def has_samples(self, first_ns: int, last_ns: int) -> bool:
         """Whether the motion is known, and the samples between two times."""

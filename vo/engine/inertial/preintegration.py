@@ -22,19 +22,12 @@ _BRIDGED = (0.2, 2.0)  # rad/s and m/s², errors of samples that are interpolate
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Samples of an inertial sensor from one time to another, both ends included.
+    """Samples of an inertial sensor from one time to another, both ends included."""
 
-    Attributes:
-        seconds: (n + 1,) since the start, increasing from 0.
-        gyro: (n + 1, 3) rad/s.
-        accel: (n + 1, 3) m/s².
-        bridged_s: time without good samples, in which they are interpolated.
-    """
-
-    seconds: Floats
-    gyro: Floats
-    accel: Floats
-    bridged_s: float = 0.0
+    seconds: Floats  # (n + 1,) since the start, increasing from 0
+    gyro: Floats  # (n + 1, 3) rad/s
+    accel: Floats  # (n + 1, 3) m/s²
+    bridged_s: float = 0.0  # time without good samples, in which they are interpolated
 
     @property
     def duration_s(self) -> float:
@@ -44,28 +37,18 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Preintegrated:
-    """Motion of a sensor in an interval, without gravity and velocity at its start.
+    """Motion of a sensor in an interval, without gravity and velocity at its start."""
 
-    Attributes:
-        duration_s: of the interval.
-        rotation: (3, 3) start_from_end.
-        velocity: (3,) change of velocity, m/s, in the frame at the start.
-        position: (3,) m, the same.
-        jacobian: (9, 6) of (rotation, velocity, position) by the biases (gyro, accel); the
-            rotation's rows are a tangent on its right.
-        covariance: (9, 9) by noise, and by the walk of the biases within the interval.
-        gyro_bias: (3,) rad/s that was subtracted.
-        accel_bias: (3,) m/s² that was subtracted.
-    """
-
-    duration_s: float
-    rotation: Floats
-    velocity: Floats
-    position: Floats
+    duration_s: float  # of the interval
+    rotation: Floats  # (3, 3) start_from_end
+    velocity: Floats  # (3,) change of velocity, m/s, in the frame at the start
+    position: Floats  # (3,) m, the same
+    # (9, 6) of (rotation, velocity, position) by the biases (gyro, accel); the rotation's rows are
+    # a tangent on its right
     jacobian: Floats
-    covariance: Floats
-    gyro_bias: Floats
-    accel_bias: Floats
+    covariance: Floats  # (9, 9) by noise, and by the walk of the biases within the interval
+    gyro_bias: Floats  # (3,) rad/s that was subtracted
+    accel_bias: Floats  # (3,) m/s² that was subtracted
 
     @cached_property
     def information(self) -> Floats:

@@ -20,14 +20,10 @@ _KEPT = 1e-3  # of the common error, so that covariances keep an inverse
 
 
 class ScaleDrift(NamedTuple):
-    """Errors of n motions, with that of the scale apart.
+    """Errors of n motions, with that of the scale apart."""
 
-    Attributes:
-        covariance: (n, 6, 6) of the motions at the scale of the map there, as in `Steps`.
-        log_scale: (n,) variance by which the logarithm of the scale differs after each of them.
-    """
-
-    covariance: Floats
+    covariance: Floats  # (n, 6, 6) of the motions at the scale of the map there, as in `Steps`
+    # (n,) variance by which the logarithm of the scale differs after each of them
     log_scale: Floats
 
 

@@ -22,23 +22,14 @@ WIDTH = 16
 
 
 class States(NamedTuple):
-    """States at n keyframes, in a world whose z axis points up.
+    """States at n keyframes, in a world whose z axis points up."""
 
-    Attributes:
-        rotation: (n, 3, 3) world_from_imu.
-        position: (n, 3) m.
-        velocity: (n, 3) m/s.
-        gyro_bias: (n, 3) rad/s.
-        accel_bias: (n, 3) m/s².
-        log_scale: (n,) logarithm of the metres of one unit of the visual map.
-    """
-
-    rotation: Floats
-    position: Floats
-    velocity: Floats
-    gyro_bias: Floats
-    accel_bias: Floats
-    log_scale: Floats
+    rotation: Floats  # (n, 3, 3) world_from_imu
+    position: Floats  # (n, 3) m
+    velocity: Floats  # (n, 3) m/s
+    gyro_bias: Floats  # (n, 3) rad/s
+    accel_bias: Floats  # (n, 3) m/s²
+    log_scale: Floats  # (n,) logarithm of the metres of one unit of the visual map
 
     @property
     def number(self) -> int:
@@ -83,25 +74,16 @@ def joined(first: States, second: States) -> States:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Measurements between n + 1 consecutive keyframes.
+    """Measurements between n + 1 consecutive keyframes."""
 
-    Attributes:
-        duration_s: (n,) times from each to the next.
-        inertial: n motions by the inertial sensor, None where samples are missing.
-        visual: (n, 4, 4) motions of the camera in the units of the map, earlier_from_later.
-        covariance: (n, 6, 6) theirs: tangent on the right, rotation first, in map units.
-        is_visual: (n,) whether both keyframes are of one segment.
-        is_metric: whether the unit of the map is the metre.
-        imu_from_cam: (4, 4).
-    """
-
-    duration_s: Floats
+    duration_s: Floats  # (n,) times from each to the next
+    # n motions by the inertial sensor, None where samples are missing
     inertial: tuple[Preintegrated | None, ...]
-    visual: Floats
-    covariance: Floats
-    is_visual: Bools
-    is_metric: bool
-    imu_from_cam: Floats
+    visual: Floats  # (n, 4, 4) motions of the camera in the units of the map, earlier_from_later
+    covariance: Floats  # (n, 6, 6) theirs: tangent on the right, rotation first, in map units
+    is_visual: Bools  # (n,) whether both keyframes are of one segment
+    is_metric: bool  # whether the unit of the map is the metre
+    imu_from_cam: Floats  # (4, 4)
 
 
 def predicted_motion(last: States, measured: Preintegrated) -> tuple[Floats, Floats, Floats]:

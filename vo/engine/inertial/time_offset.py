@@ -25,15 +25,11 @@ _KNOWN_SIGMA_S = 0.001
 
 
 class TimeOffset(NamedTuple):
-    """A measured offset.
+    """A measured offset."""
 
-    Attributes:
-        seconds: what to add to the stamp of an image to get the same moment on the sensor's clock.
-        sigma_s: standard deviation.
-    """
-
+    # what to add to the stamp of an image to get the same moment on the sensor's clock
     seconds: float
-    sigma_s: float
+    sigma_s: float  # standard deviation
 
     def differs_from(self, given_s: float) -> bool:
         """Whether it is another one than the given offset, beyond doubt."""

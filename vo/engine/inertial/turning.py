@@ -29,19 +29,12 @@ _MAX_GRAVITY_ERROR = 0.1
 
 
 class Turn(NamedTuple):
-    """A rotation of the rectified camera between two images, if nothing but that.
+    """A rotation of the rectified camera between two images, if nothing but that."""
 
-    Attributes:
-        first_ns: time of the first image.
-        last_ns: time of the second one.
-        last_from_first: (3, 3).
-        residual_px: median residual of the matches.
-    """
-
-    first_ns: int
-    last_ns: int
-    last_from_first: Floats
-    residual_px: float
+    first_ns: int  # time of the first image
+    last_ns: int  # time of the second one
+    last_from_first: Floats  # (3, 3)
+    residual_px: float  # median residual of the matches
 
 
 class TurnLog:
@@ -79,19 +72,12 @@ class TurnLog:
 
 
 class Turning(NamedTuple):
-    """What is known of a camera that turns.
+    """What is known of a camera that turns."""
 
-    Attributes:
-        gyro_bias: (3,) rad/s.
-        sigma_rad_s: standard deviation of the bias.
-        first_ns: time of the first image that shows a turn.
-        last_ns: of the last one.
-    """
-
-    gyro_bias: Floats
-    sigma_rad_s: float
-    first_ns: int
-    last_ns: int
+    gyro_bias: Floats  # (3,) rad/s
+    sigma_rad_s: float  # standard deviation of the bias
+    first_ns: int  # time of the first image that shows a turn
+    last_ns: int  # of the last one
 
 
 def turning_between(
@@ -131,17 +117,12 @@ def turning_between(
 
 
 class Orientations(NamedTuple):
-    """Orientations at some times, relative to the first.
+    """Orientations at some times, relative to the first."""
 
-    Attributes:
-        first_from_cam: (n, 3, 3).
-        sigma_rad: (n,) standard deviation of each, relative to the first.
-        up: (3,) direction away from the earth in the first camera's frame, None if the forces are
-            not those of gravity.
-    """
-
-    first_from_cam: Floats
-    sigma_rad: Floats
+    first_from_cam: Floats  # (n, 3, 3)
+    sigma_rad: Floats  # (n,) standard deviation of each, relative to the first
+    # (3,) direction away from the earth in the first camera's frame, None if the forces are not
+    # those of gravity
     up: Floats | None
 
 

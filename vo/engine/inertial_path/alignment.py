@@ -78,14 +78,7 @@ class InertialAlignment:
         )
         self._offset = OffsetSearch(reader)
         self._gaps = InertialGaps(trajectory, reader, predictor.noise, sensor.cam0_from_imu)
-        self._turns = InertialTurns(
-            trajectory,
-            predictor.turns,
-            reader,
-            predictor.noise,
-            predictor.imu_from_cam,
-            self._imu_from_cam0,
-        )
+        self._turns = InertialTurns(trajectory, predictor, reader, self._imu_from_cam0)
         self._newest = -1  # id of the newest keyframe whose states were estimated
         self.map_poses = InertialMapPoses(trajectory, rig.cam0_from_rectified)
         # Of later segments of a metric path: the first segment of their world, and the transform
@@ -136,7 +129,9 @@ class InertialAlignment:
             solved = self._chain.update()
         self._place(solved)
         self._gaps.remember(solved)
-        self._predictor.known = None if solved is None else self._known(solved, keyframes)
+        known = self._predictor.known = None if solved is None else self._known(solved, keyframes)
+        if known is not None:
+            self._predictor.gyro_bias = known.gyro_bias
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""

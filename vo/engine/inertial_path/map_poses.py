@@ -18,39 +18,23 @@ from vo.engine.trajectory.map_frame import scaled_covariance
 
 @dataclass(frozen=True, eq=False)
 class EstimatedPose:
-    """A keyframe of a single camera with its newest inertial pose.
+    """A keyframe of a single camera with its newest inertial pose."""
 
-    Attributes:
-        frame_index: number of its frame.
-        segment: number of its segment.
-        world: number of its world by the inertial sensor.
-        origin: id of the first keyframe of that world; another one is another frame.
-        pose: (4, 4) upright_from_cam0.
-        scale: metres of one unit of its segment.
-        covariance: (6, 6) of the pose.
-    """
-
-    frame_index: int
-    segment: int
-    world: int
-    origin: int
-    pose: Floats
-    scale: float
-    covariance: Floats
+    frame_index: int  # number of its frame
+    segment: int  # number of its segment
+    world: int  # number of its world by the inertial sensor
+    origin: int  # id of the first keyframe of that world; another one is another frame
+    pose: Floats  # (4, 4) upright_from_cam0
+    scale: float  # metres of one unit of its segment
+    covariance: Floats  # (6, 6) of the pose
 
 
 class _Correction(NamedTuple):
-    """How the pose graph has moved a world.
+    """How the pose graph has moved a world."""
 
-    Attributes:
-        newest: id of the newest keyframe that it has placed.
-        origin: id of the first keyframe of the world.
-        map_from_upright: from the frame of the inertial poses.
-    """
-
-    newest: int
-    origin: int
-    map_from_upright: Similarity
+    newest: int  # id of the newest keyframe that it has placed
+    origin: int  # id of the first keyframe of the world
+    map_from_upright: Similarity  # from the frame of the inertial poses
 
 
 class InertialMapPoses:

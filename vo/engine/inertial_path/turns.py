@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.base.types import Bools, Floats, ImuNoise, Ints, KeyframePose
+from vo.base.types import Bools, Floats, Ints, KeyframePose
+from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.turning import (
     Orientations,
     Turn,
     Turning,
-    TurnLog,
     orientations,
     turning_between,
     upright_from_first,
@@ -30,24 +30,21 @@ class InertialTurns:
 
     Args:
         trajectory: the path.
-        log: rotations by images.
+        predictor: has the rotations by images.
         reader: gives the samples.
-        noise: of the sensor.
-        imu_from_cam: (4, 4) of the rectified camera.
-        imu_from_cam0: (4, 4) of the recorded one.
+        imu_from_cam0: (4, 4) of the recorded camera.
     """
 
     def __init__(
         self,
         trajectory: TrajectoryBuilder,
-        log: TurnLog,
+        predictor: InertialPredictor,
         reader: SampleReader,
-        noise: ImuNoise,
-        imu_from_cam: Floats,
         imu_from_cam0: Floats,
     ) -> None:
-        self._trajectory, self._log, self._reader, self._noise = trajectory, log, reader, noise
-        self._imu_from_cam, self._imu_from_cam0 = imu_from_cam, imu_from_cam0
+        self._trajectory, self._log, self._reader = trajectory, predictor.turns, reader
+        self._noise, self._imu_from_cam = predictor.noise, predictor.imu_from_cam
+        self._imu_from_cam0 = imu_from_cam0
 
     def turned(self, done: list[InertialFrame]) -> list[InertialFrame]:
         """Frames with an orientation.

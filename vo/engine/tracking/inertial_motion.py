@@ -6,10 +6,11 @@ import numpy as np
 
 from vo.base.geometry.transforms import so3_log
 from vo.base.types import Floats
-from vo.engine.inertial.prediction import InertialPredictor
+from vo.engine.inertial.estimation import QUICK_RAD_S
+from vo.engine.inertial.prediction import Gap, InertialPredictor
 from vo.engine.inertial.preintegration import rotation_of
 from vo.engine.inertial.samples import SampleReader
-from vo.engine.tracking.motion_model import ConstantVelocity, Gap, MotionModel, PosePrior
+from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel, PosePrior
 
 _MEMORY = 50  # frames over which the bias is averaged
 _MIN_FRAMES = 10  # compared before the gyroscope is trusted
@@ -122,18 +123,24 @@ class GyroMotion(MotionModel):
         self._bias = self._bias + self._imu_from_cam @ off / self._count
 
 
-_LAST_RAD = 0.002  # standard deviation of the rotation of the last tracked frame
+# Standard deviation of the rotation of the last tracked frame; in a quick turn new landmarks have
+# its error, too.
+_LAST_RAD, _LAST_TURNING_RAD = 0.002, 0.0003
+_AFTER_TURN_NS = 300_000_000  # until landmarks that came into view in it have a parallax
 
 
 class InertialMotion(MotionModel):
-    """Predicts as another model does, but from the second lost frame on by the sensor.
+    """Predicts as another model does, but by the sensor after lost frames and in quick turns.
 
-    So nothing changes where no frame is lost: a path of two cameras has the same bytes with and
-    without the sensor.
+    So nothing changes where neither happens: a path of two cameras without lost frames has the
+    same bytes with and without the sensor.
     """
 
-    def __init__(self, usual: MotionModel, predictor: InertialPredictor) -> None:
+    def __init__(
+        self, usual: MotionModel, predictor: InertialPredictor, *, is_metric: bool = True
+    ) -> None:
         self._gaps: list[Gap] = []
+        self._is_metric, self._turning_until_ns = is_metric, 0
         self._usual, self._predictor = usual, predictor
         self._last_ns = 0  # time of the newest tracked frame
         self._next_ns: int | None = None  # time of the frame after it, once it was predicted
@@ -186,21 +193,35 @@ class InertialMotion(MotionModel):
 
     def prior(self, stamp_ns: int) -> PosePrior | None:
         """See `MotionModel.prior`."""
-        if not self._has_map or self._next_ns is None or stamp_ns <= self._next_ns:
+        if not self._has_map:
             return None
         if self._prior is None or self._prior[0] != stamp_ns:
-            self._prior = stamp_ns, self._predicted(stamp_ns)
+            prior = None
+            if self._next_ns is not None and stamp_ns > self._next_ns:
+                prior = self._predicted(stamp_ns, _LAST_RAD)
+            elif self._turns_quickly(stamp_ns):
+                prior = self._predicted(stamp_ns, _LAST_TURNING_RAD)
+                prior = prior and prior._replace(leads=True)
+            self._prior = stamp_ns, prior
         return self._prior[1]
+
+    def _turns_quickly(self, stamp_ns: int) -> bool:
+        """Whether the view of a single camera changes, or has, before landmarks have a depth."""
+        turned = None if self._is_metric else self._predictor.turned(self._last_ns, stamp_ns)
+        elapsed_s = 1e-9 * (stamp_ns - self._last_ns)
+        if turned is not None and np.linalg.norm(so3_log(turned)) > QUICK_RAD_S * elapsed_s:
+            self._turning_until_ns = stamp_ns + _AFTER_TURN_NS
+        return stamp_ns <= self._turning_until_ns
 
     def of_lost(self, stamp_ns: int) -> PosePrior | None:
         """See `MotionModel.of_lost`."""
         prior = self.prior(stamp_ns)
-        return self._predicted(stamp_ns) if prior is None and self._has_map else prior
+        return self._predicted(stamp_ns, _LAST_RAD) if prior is None and self._has_map else prior
 
-    def _predicted(self, stamp_ns: int) -> PosePrior | None:
+    def _predicted(self, stamp_ns: int, last_rad: float) -> PosePrior | None:
         motion = self._predictor.motion(self._predictor.known, self._last_ns, stamp_ns)
         if motion is None:
             return None
-        covariance = motion.covariance + np.diag([_LAST_RAD**2] * 3 + [0.0] * 3)
+        covariance = motion.covariance + np.diag([last_rad**2] * 3 + [0.0] * 3)
         information = np.asarray(np.linalg.inv(covariance), np.float64)
         return PosePrior(self._usual.last @ motion.first_from_last, information)

@@ -9,7 +9,7 @@ import numpy as np
 from vo.base.config import StartConfig
 from vo.base.failures import Failure, FailureReason
 from vo.base.geometry.quantiles import median
-from vo.base.geometry.transforms import inverse, transform_points
+from vo.base.geometry.transforms import inverse, so3_log, transform_points
 from vo.base.types import Floats, Ints
 from vo.engine.frontend.contracts import Circles, Matches, feature_set
 from vo.engine.frontend.frontend import Frontend
@@ -18,7 +18,7 @@ from vo.engine.frontend.optical_flow import follow
 from vo.engine.frontend.patch_alignment import patches_of
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.neighbours import far_from
-from vo.engine.inertial.turning import TurnLog
+from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.mapping.keyframe import Keyframe, without_disparity
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
@@ -27,6 +27,7 @@ from vo.engine.tracking.two_view import IntermediateView, MatchedViews, TwoView,
 _MAX_WAITING = 30  # frames kept in memory, to be tracked in the first map
 _INTERMEDIATE_VIEWS = 4  # of them, evenly spread, that decide between two motions
 _MEDIAN_DEPTH = 1.0  # of the first map of each segment, whose scale is free
+_MAX_DIFFERENCE_RAD = 0.02  # of the rotation by two images from that of the gyroscope
 _SEARCH_FACTOR = 4.0  # search radius in units of that of tracking
 
 
@@ -59,7 +60,8 @@ class MonocularInitializer:
     Args:
         search_ratio: radius of the search windows in tracking, ratio of the image width.
         by_flow: whether features are followed by optical flow instead of being matched.
-        turns: receives the rotations between images, None without an inertial sensor.
+        predictor: receives the rotations between images, and refuses motions whose rotation is
+            not that of the gyroscope; None without an inertial sensor.
     """
 
     def __init__(
@@ -71,7 +73,7 @@ class MonocularInitializer:
         search_ratio: float,
         *,
         by_flow: bool = False,
-        turns: TurnLog | None = None,
+        predictor: InertialPredictor | None = None,
     ) -> None:
         self.waiting: list[PreprocessedFrame] = []
         self._map = local_map
@@ -80,7 +82,7 @@ class MonocularInitializer:
         self._config = config
         self._radius_ratio = _SEARCH_FACTOR * search_ratio
         self._by_flow = by_flow
-        self._turns = turns
+        self._predictor = predictor
         self._reference: PreprocessedFrame | None = None
         self._expected_xy: Floats = np.empty((0, 2))
         # Features of the reference frame that each waiting frame shows, and their ideal pixels.
@@ -118,15 +120,25 @@ class MonocularInitializer:
             rig.matrix,
             self._intermediate_views(query),
         )
-        if self._turns is not None:
-            times_ns = self._reference.stamp_ns, frame.stamp_ns
-            self._turns.add(times_ns, views.first, views.second, views.matrix)
-        result = reconstruct(views, self._config)
+        times_ns = self._reference.stamp_ns, frame.stamp_ns
+        if self._predictor is not None:
+            self._predictor.turns.add(times_ns, views.first, views.second, views.matrix)
+        result = self._confirmed(reconstruct(views, self._config), times_ns)
         if isinstance(result, Failure):
             self.waiting = [*self.waiting[1 - _MAX_WAITING :], frame]
             self._seen = [*self._seen[1 - _MAX_WAITING :], (query, xy)]
             return result
         return InitialPair(self._reference, frame, query, image_xy, xy, result)
+
+    def _confirmed(self, result: TwoView | Failure, times_ns: tuple[int, int]) -> TwoView | Failure:
+        """A motion, unless the gyroscope, once its bias is known, measures another rotation."""
+        turned = None if self._predictor is None else self._predictor.turned(*times_ns)
+        if turned is None or isinstance(result, Failure):
+            return result
+        difference = float(np.linalg.norm(so3_log(result.second_from_first[:3, :3] @ turned)))
+        if difference <= _MAX_DIFFERENCE_RAD:
+            return result
+        return Failure(FailureReason.OTHER_ROTATION, float(np.degrees(difference)))
 
     def create_map(
         self, pair: InitialPair, world_from_cam: Floats, segment: int

@@ -9,35 +9,18 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
 from vo.base.types import Floats
-from vo.engine.inertial.prediction import KnownMotion
+from vo.engine.inertial.prediction import Gap
 
 _MAX_SQUARED = 10.0**2  # squared Mahalanobis distance of a measured pose from a predicted one
 
 
-class Gap(NamedTuple):
-    """Frames that were lost before one that was tracked.
-
-    Attributes:
-        first_ns: time of the tracked frame before them.
-        last_ns: time of the tracked frame after them.
-        known: motion before them.
-    """
-
-    first_ns: int
-    last_ns: int
-    known: KnownMotion
-
-
 class PosePrior(NamedTuple):
-    """A predicted pose and how certain it is.
+    """A predicted pose and how certain it is."""
 
-    Attributes:
-        world_from_cam: (4, 4).
-        information: (6, 6) tangent on the right, rotation first.
-    """
-
-    world_from_cam: Floats
-    information: Floats
+    world_from_cam: Floats  # (4, 4)
+    information: Floats  # (6, 6) tangent on the right, rotation first
+    # whether a measured pose that contradicts it is wrong, and not another place
+    leads: bool = False
 
     @property
     def covariance(self) -> Floats:

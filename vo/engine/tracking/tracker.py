@@ -341,7 +341,7 @@ class Tracker:
             return None
         cam_from_world, prior = fit.cam_from_world, self._motion.prior(frame.stamp_ns)
         if prior is not None:
-            if prior.is_contradicted(cam_from_world, fit.information):
+            if not prior.leads and prior.is_contradicted(cam_from_world, fit.information):
                 return None
             cam_from_world = prior.fused(cam_from_world, fit.information)
         ids = self._map.id[observed.rows]
