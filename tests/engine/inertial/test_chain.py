@@ -18,7 +18,7 @@ from inertial_flight import (
     world_from_cam,
 )
 
-from vo.base.geometry.transforms import inverse
+from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Floats
 from vo.engine.inertial.chain import InertialChain, KeyframeStates, Node, certain
 from vo.engine.inertial.initialisation import NotYet
@@ -54,7 +54,7 @@ def _error_m(solved: KeyframeStates, count: int) -> float:
     """Largest error of a position relative to the first and its heading."""
     truth = world_from_cam(keyframe_stamps(count))
     first = inverse(truth[solved.nodes[0].keyframe])
-    expected = (first @ truth)[solved.nodes[0].keyframe : solved.nodes[-1].keyframe + 1, :3, 3]
+    expected = (first @ truth)[[node.keyframe for node in solved.nodes], :3, 3]
     states = solved.estimate.states
     start = states.rotation[0] @ IMU_FROM_CAM[:3, :3]
     found = (_camera_positions(solved) - _camera_positions(solved)[0]) @ start
@@ -134,6 +134,39 @@ def test_segments_are_joined_across_a_short_gap() -> None:
     found = _camera_positions(solved)
     spread = np.linalg.norm(found[-1] - found[0]) / np.linalg.norm(truth_m[-1] - truth_m[0])
     assert abs(spread - 1.0) < 0.02
+
+
+def _begun_late(first: Floats) -> KeyframeStates:
+    """A run whose first segment is too short for states; its poses (5, 4, 4) are given."""
+    truth = world_from_cam(keyframe_stamps(40))
+    poses = np.concatenate([first, visual_poses(truth[5:], 2.0)])
+    chain = _chain(sensor(noise=1.0, seconds=22.0))
+    for node in _nodes(40, poses, [0] * 5 + [1] * 35):
+        if node.keyframe != 5:  # lost
+            chain.set(node)
+            chain.update()
+    solved = chain.finish()
+    assert solved is not None and chain.agreement.contradiction is None
+    again = chain.smoothed()
+    assert again is not None and again.nodes == solved.nodes
+    return solved
+
+
+def test_a_segment_from_before_the_first_states_is_joined_at_the_end() -> None:
+    truth = world_from_cam(keyframe_stamps(40))
+    solved = _begun_late(visual_poses(truth[:5], _SCALE))
+    assert len(solved.nodes) == 39 and (solved.world, solved.origin) == (0, 0)
+    assert certain(solved) == list(range(39))
+    np.testing.assert_allclose(np.exp(solved.estimate.states.log_scale[0]), _SCALE, rtol=0.02)
+    assert _error_m(solved, 40) < 0.05
+
+
+def test_a_segment_that_does_not_fit_to_the_samples_stays_apart() -> None:
+    truth = world_from_cam(keyframe_stamps(40))
+    wrong = visual_poses(truth[:5], _SCALE)
+    wrong[2:, :3, :3] = wrong[2:, :3, :3] @ se3_exp(np.array([0, 0.2, 0, 0, 0, 0.0]))[:3, :3]
+    solved = _begun_late(wrong)
+    assert len(solved.nodes) == 34 and (solved.world, solved.origin) == (1, 6)
 
 
 def test_a_long_gap_begins_a_new_world() -> None:

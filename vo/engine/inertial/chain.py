@@ -10,6 +10,7 @@ import numpy as np
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
 from vo.engine.inertial.agreement import Agreement, agreement
+from vo.engine.inertial.earlier_states import with_earlier
 from vo.engine.inertial.estimation import (
     ChainProblem,
     Estimate,
@@ -43,35 +44,26 @@ _MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A keyframe.
-
-    Attributes:
-        world_from_cam: (4, 4) in the frame and the units of the segment.
-        covariance: (6, 6) of the motion from the keyframe before it, as in `Steps`; None to keep
-            that of an earlier call, or for the first one of a segment.
-    """
+    """A keyframe."""
 
     keyframe: int
     frame_index: int
     stamp_ns: int
     segment: int
-    world_from_cam: Floats
+    world_from_cam: Floats  # (4, 4) in the frame and the units of the segment
+    # (6, 6) of the motion from the keyframe before it, as in `Steps`; None to keep that of an
+    # earlier call, or for the first one of a segment
     covariance: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframeStates:
-    """Keyframes with their states.
-
-    Attributes:
-        world: number of the first segment of the world.
-        origin: id of the first keyframe of the world; another one is another frame.
-    """
+    """Keyframes with their states."""
 
     nodes: tuple[Node, ...]
     estimate: Estimate
-    world: int
-    origin: int
+    world: int  # number of its first segment
+    origin: int  # id of its first keyframe; another one is another frame
 
 
 class InertialChain:
@@ -179,7 +171,30 @@ class InertialChain:
         solved = self._judged()
         if solved is not None:
             self._begin, self._estimate = self._origin, solved.estimate
+            solved = self._reached_back(solved)
         return solved
+
+    def _reached_back(self, solved: KeyframeStates) -> KeyframeStates:
+        """The world with segments from before its first states, if they fit to it."""
+        kept, begin = (self._origin, self.agreement), self._origin
+        while begin > 0 and not self.finished and self._is_bridged(begin):
+            begin -= 1
+        if self.agreement.contradiction or self._nodes[begin].segment == solved.world:
+            return solved
+        self._origin = begin
+        longer, added = self._judged(is_last=False), kept[0] - begin
+        is_certain = longer is not None and certain(longer)[:added] == list(range(added))
+        if longer is None or not is_certain or self.agreement.contradiction:
+            self._origin, self.agreement = kept
+            return solved
+        self._begin, self._estimate = begin, longer.estimate
+        return longer
+
+    def _is_bridged(self, row: int) -> bool:
+        """Whether samples lead from the keyframe before, and images unless it is near."""
+        between = self._intervals[row]
+        is_near = between is not None and between.duration_s <= _MAX_BRIDGE_S
+        return between is not None and (is_near or self._is_visual(row))
 
     def _judged(self, *, is_last: bool = True) -> KeyframeStates | None:
         """All states of the newest world, which is complete, after a test of their agreement."""
@@ -208,7 +223,7 @@ class InertialChain:
         count = self._begin + biases.number
         for row in range(self._origin + 1, count):
             self._preintegrate(row, biases.gyro_bias[-1], biases.accel_bias[-1])
-        states = placed_at_origin(self._whole_history(count), self._imu_from_cam)
+        states = placed_at_origin(self._whole_history(), self._imu_from_cam)
         prior = self._first_prior(states)
         estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
         return self._solved(self._origin, estimate)
@@ -332,24 +347,14 @@ class InertialChain:
         )
         return joined(states, added)
 
-    def _whole_history(self, count: int) -> States:
-        """Starting states of all keyframes of the world: older ones follow from the newest back."""
+    def _whole_history(self) -> States:
+        """Starting states of all keyframes of the world."""
         assert self._estimate is not None
-        states = self._estimate.states
-        for row in range(self._begin - 1, self._origin - 1, -1):
-            first = states.rows(slice(0, 1))
-            motion = inverse(self._nodes[row + 1].world_from_cam) @ self._nodes[row].world_from_cam
-            motion[:3, 3] *= np.exp(first.log_scale[0])
-            imu_motion = self._imu_from_cam @ motion @ inverse(self._imu_from_cam)
-            rotation = first.rotation[0] @ imu_motion[:3, :3]
-            position = first.position[0] + first.rotation[0] @ imu_motion[:3, 3]
-            duration = 1e-9 * (self._nodes[row + 1].stamp_ns - self._nodes[row].stamp_ns)
-            velocity = (first.position[0] - position) / duration
-            before = first._replace(
-                rotation=rotation[None], position=position[None], velocity=velocity[None]
-            )
-            states = joined(before, states)
-        return states
+        if self._begin == self._origin:
+            return self._estimate.states
+        poses = np.stack([n.world_from_cam for n in self._nodes[self._origin : self._begin + 1]])
+        steps = self._steps(self._origin, self._begin + 1)
+        return with_earlier(self._estimate.states, poses, steps)
 
     def _preintegrate(
         self, row: int, gyro_bias: Floats, accel_bias: Floats
