@@ -37,7 +37,7 @@ _WINDOW = 12  # newest keyframes whose states are estimated together
 _MAX_FIRST = 40  # newest keyframes that first states are searched with
 _RETRY_NS = 1_000_000_000  # after the motion did not determine the first states
 _RARELY_TRIED = (NotYet.NO_MOTION, NotYet.NO_GRAVITY, NotYet.WRONG_GRAVITY, NotYet.OPPOSITE)
-_MAX_BRIDGE_S = 3.0  # between segments without images
+_MAX_BRIDGE_S = 5.0  # between segments without images
 _MAX_BIAS_RAD_S = 0.003  # from which preintegration is repeated
 _MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
 

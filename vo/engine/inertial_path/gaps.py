@@ -17,7 +17,7 @@ from vo.engine.inertial.states import ACCEL_BIAS, POSITION, VELOCITY
 from vo.engine.trajectory.builder import TrajectoryBuilder
 from vo.engine.trajectory.inertial_frames import InertialFrame, with_reference
 
-MAX_GAP_S = 3.0  # as between segments that are joined
+MAX_GAP_S = 5.0  # as between segments that are joined
 _MOTION = slice(VELOCITY.start, ACCEL_BIAS.stop)
 
 
