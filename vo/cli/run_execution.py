@@ -82,9 +82,7 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
     outputs, printing = request.outputs, request.printing
     others = {
         "recording": request.viewer.rrd,
-        "mcap": outputs.mcap,
-        "colmap": outputs.colmap,
-        "ply": outputs.ply,
+        **outputs.exports.files,
         "raw frames": request.live.record,
         "map": outputs.save_map,
     }
@@ -119,7 +117,6 @@ def _start_optimizer(request: RunRequest, stack: ExitStack) -> tuple[Config, Pop
 
 def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: ExitStack) -> Summary:
     from vo.cli.standard_input import NAME, spooled_input
-    from vo.outputs.recorders.exports import Exports
     from vo.runs.run_recording import run
 
     shown, live, outputs, is_piped = request.viewer, request.live, request.outputs, request.is_piped
@@ -143,7 +140,7 @@ def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: Ex
         rrd=shown.rrd,
         rrd_images=shown.rrd_images.value,
         viewer=viewer,
-        exports=Exports(mcap=outputs.mcap, colmap=outputs.colmap, ply=outputs.ply),
+        exports=outputs.exports,
         poses=poses,
         allow_origins=outputs.allow_origin or (),
         save_map=outputs.save_map,

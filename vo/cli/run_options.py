@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from vo.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from vo.outputs.recorders.exports import Exports
     from vo.runs.scaling.scale_sources import ScaleOptions
 
 # Headings of the options in `--help`, besides those in `options`.
@@ -259,6 +261,13 @@ class Outputs:
         default=None,
         metavar="PERCENT",
     )
+
+    @property
+    def exports(self) -> Exports:
+        """The files for other programs, which have options of their names."""
+        from vo.outputs.recorders.exports import Exports
+
+        return Exports(**{each.name: getattr(self, each.name) for each in fields(Exports)})
 
     @property
     def poses_on_standard_output(self) -> bool:

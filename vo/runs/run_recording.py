@@ -148,7 +148,7 @@ def _check_outputs(
         raise ConfigError("`memory.localize` adds nothing to the map; leave out `save_map`")
     path = Path(source) if isinstance(source, str | Path) else None
     exports, save_map = options.exports or Exports(), options.save_map
-    files = (options.rrd, exports.mcap, exports.ply, exports.colmap, options.record)
+    files = (options.rrd, *exports.files.values(), options.record)
     masks = [Path(split_cameras(text)[1]) for text in config.masks.files]
     vocabulary = Path(memory.vocabulary) if memory.vocabulary else None
     inputs = (path, options.calibration, vocabulary, *masks)

@@ -210,6 +210,14 @@ def test_error_if_the_path_is_not_writable(tmp_path: Path) -> None:
         write_tum(tmp_path, Trajectory(np.array([0]), np.eye(4)[None]))
 
 
+@pytest.mark.parametrize("step_us", [5_000, 37_000, 100_000])
+def test_times_in_whole_microseconds_are_no_nanoseconds(tmp_path: Path, step_us: int) -> None:
+    path = tmp_path / "a.tum"
+    stamps_us = [1_600_000_000_123_456 + i * step_us for i in range(9)]
+    path.write_text("".join(f"{t} {t % 7} 0 0 0 0 0 1\n" for t in stamps_us), encoding="utf-8")
+    assert read_tum(path).stamps_ns.tolist() == [1000 * t for t in stamps_us]
+
+
 def test_times_in_whole_milliseconds_are_read_as_such(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -38,6 +38,7 @@ def mono_vo(folder: Path, line: Line, more: int = 0) -> Path:
 LINES: dict[str, Line] = {
     "seconds": lambda i, s: f"{s:.6f}\n",
     "nanoseconds": lambda i, s: f"{round(s * 1e9)}\n",
+    "seconds and nanoseconds": lambda i, s: f"{int(s)} {round(s % 1 * 1e9)}\n",
     "id, seconds, exposure": lambda i, s: f"{i:05d} {s:.6f} {10 + i / 7:.6f}\n",
     "id, seconds": lambda i, s: f"{i} {s:.6f}\n",
     "seconds, exposure": lambda i, s: f"{s:.6f} {10 + i / 7:.6f}\n",

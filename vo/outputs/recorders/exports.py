@@ -32,6 +32,11 @@ class Exports:
     colmap: Path | None = None
     ply: Path | None = None
 
+    @property
+    def files(self) -> dict[str, Path | None]:
+        """The files and folders by their names."""
+        return vars(self)
+
     def recorders(self) -> list[Recorder]:
         """One recorder for each requested file."""
         recorders: list[Recorder] = []

@@ -52,7 +52,7 @@ class Spacing(NamedTuple):
 
 IMAGES = Spacing("images", MIN_INTERVAL_NS, MAX_INTERVAL_NS, (2_000_000, 1_000_000_000))
 NAMES = Spacing("images", 2_000_000, 20_000_000_000, (2_000_000, 20_000_000_000))
-POSES = Spacing("poses", 10_000, 10_000_000_000_000, (1_000_000, 10_000_000_000))
+POSES = Spacing("poses", 200_000, 10_000_000_000_000, (1_000_000, 10_000_000_000))
 STATED = Spacing("stamps", 0, MAX_STAMP_NS, (0, 0))  # the unit is known
 SAMPLES = Spacing("samples", 20_000, 500_000_000, (500_000, 100_000_000))
 

@@ -27,13 +27,14 @@ from vo.recordings.sources.images import ImageFile, StoredImage
 _log = logging.getLogger(__name__)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 _MISSING = "is missing; it should contain the stamps"
-_TIME_IN_NAME = re.compile(r"(\d{10}[_-]\d{1,9}|\d+(?:\.\d+)?(?:e\+?\d+)?)\D*$")
+_TIME_IN_NAME = re.compile(r"(\d{10}[_,-]\d{1,9}|\d+(?:\.\d+)?(?:e\+?\d+)?)\D*$")
 _DATE_IN_NAME = re.compile(
     r"(\d{4})-?(\d\d)-?(\d\d)[T_ -]+(\d\d)[:_-]?(\d\d)[:_-]?(\d\d)"
     r"(?:[.,](\d{1,9})|[_-](\d{3}|\d{6}|\d{9}))\D*$"
 )
 _SPACED_DATE = re.compile(r"^(\d{4}-\d\d-\d\d) (?=\d\d:\d\d:\d\d)", re.MULTILINE)
-_SECONDS_AND_REST = re.compile(r"(\d{10})[_-](\d+)")
+_SECONDS_AND_REST = re.compile(r"(\d{10})[_,-](\d+)")
+_SPLIT_STAMP = re.compile(r"\d{10} \d{1,9}")
 _MAX_BACK, _MAX_BACK_RATIO = 3, 0.02  # of counters in names
 _MIN_STAMP = 1_000_000_000  # smaller integers are counters, not times
 
@@ -245,12 +246,16 @@ def shots_from_times(
 ) -> list[Shot]:
     """Assign stamps in seconds, or integer nanoseconds, to images.
 
-    A line has a stamp; or a stamp and a file name, in any order; or the name or number of an image,
-    a stamp and, optionally, an exposure time, as in data sets for photometric calibration (TUM
-    monoVO, TUM VI). With names or numbers, lines without an image are not used.
+    A line has a stamp; or whole seconds and nanoseconds; or a stamp and a file name, in any order;
+    or the name or number of an image, a stamp and, optionally, an exposure time, as in data sets
+    for photometric calibration (TUM monoVO, TUM VI). With names or numbers, lines without an image
+    are not used.
     """
     lines = read_lines(times)
     rows = [text.replace(",", " ").split() for _, text in lines]
+    stems = {image.stem for image in images}
+    if all(_SPLIT_STAMP.fullmatch(" ".join(row[:2])) and row[0] not in stems for row in rows):
+        rows = [[f"{row[0]}.{row[1]:0>9}", *row[2:]] for row in rows]
     stamp, name = _columns(rows[0], images)
     for line, row in zip(lines, rows, strict=True):
         if len(row) <= max(stamp, name or 0):
