@@ -64,7 +64,9 @@ def test_every_command_can_be_verbose_quiet_or_print_json(name: str) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_is_not_quiet_and_verbose(name: str) -> None:
     required = [p for p in COMMANDS[name].params if p.required and p.param_type_name == "argument"]
-    first = {"map": "info", "vocabulary": "train", "recognize": "list"}.get(name, "x")
+    first = {"memory": "show", "map": "info", "vocabulary": "train", "recognize": "list"}.get(
+        name, "x"
+    )
     words = [name, *([first, *"x" * len(required)][: len(required)]), "-q", "-v"]
     words += ["-o", "y"] if name in ("run", "vocabulary", "panorama") else []
     result = CliRunner().invoke(app, words)
@@ -89,6 +91,7 @@ def test_formats_and_pictures_are_called_the_same(name: str) -> None:
         "calibrate",
         "features",
         "match",
+        "memory",
         "markers",
         "recognize",
     )

@@ -30,6 +30,7 @@ from vo.cli.info import info_command
 from vo.cli.map import map_command
 from vo.cli.markers import markers_command
 from vo.cli.match import match_command
+from vo.cli.memory import memory_command
 from vo.cli.models import models_command
 from vo.cli.panorama import panorama_command
 from vo.cli.recognize import recognize_command
@@ -166,6 +167,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "recognize": recognize_command,
         "models": models_command,
         "vocabulary": vocabulary_command,
+        "memory": memory_command,
     },
 }
 """Commands below their headings in `vo --help`."""

@@ -31,16 +31,30 @@ def write_pair_picture(
     epipolar: bool = False,
     best: int | None = None,
 ) -> None:
-    """Draw both images side by side: features grey, inliers blue, other matches orange.
+    """Write the picture of `draw_pair`.
 
-    `path`: PNG or JPEG file. `images`: (H, W) uint8. `epipolar`: draw lines of some inliers in
-    either image, in the colour of their point in the other one. `best`: draw so many matches only,
-    those with the most similar descriptors.
+    `path`: PNG or JPEG file.
 
     Raises:
         OutputError: the file cannot be written.
     """
     check_picture(path)
+    write_picture(path, draw_pair(images, pair, epipolar=epipolar, best=best))
+
+
+def draw_pair(
+    images: tuple[Bytes, Bytes],
+    pair: ImagePair,
+    *,
+    epipolar: bool = False,
+    best: int | None = None,
+) -> Bytes:
+    """Both images side by side: features grey, inliers blue, other matches orange.
+
+    `images`: (H, W) uint8. `epipolar`: draw lines of some inliers in either image, in the colour of
+    their point in the other one. `best`: draw so many matches only, those with the most similar
+    descriptors.
+    """
     canvas = _Canvas(images)
     for side, keypoints in enumerate(pair.keypoints):
         canvas.dots(side, np.asarray(keypoints.xy, dtype=np.float64), _FEATURE, 1)
@@ -50,7 +64,7 @@ def write_pair_picture(
         canvas.connect(pair.first_xy[rows], pair.second_xy[rows], colour)
     if epipolar:
         _draw_lines(canvas, pair)
-    write_picture(path, canvas.pixels)
+    return canvas.pixels
 
 
 def fundamental_of(pair: ImagePair) -> Floats | None:

@@ -13,13 +13,13 @@ import numpy as np
 
 from vo.base.errors import ConfigError, OutputError, SourceError
 from vo.base.geometry.transforms import inverse, make_transform, rotation_from_quat_xyzw
-from vo.base.types import Bytes, Camera, Floats, Mode
+from vo.base.types import Bytes, Camera, Floats
 from vo.outputs.report.run_folder import RunRecord, read_run
 from vo.recordings.formats.mesh import Mesh, read_mesh
-from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.tools.drawing import is_video, write_video
 from vo.tools.rendering.rasterizer import draw, shading
+from vo.tools.reopening import recording_of
 
 _AXIS_WIDTH = 0.06  # of axes, relative to their length
 _AXIS_COLOURS = ((213, 94, 0), (0, 158, 115), (0, 114, 178))  # x, y, z
@@ -153,7 +153,7 @@ def render(
     mesh = axes() if model is None else read_mesh(Path(model))
     record = read_run(folder)
     poses = _poses(folder / "poses.csv")
-    stream = _recording(record)
+    stream = recording_of(record)
     if options.on_marker is None:
         model_pose, segment = _model_pose(poses, options, record)
     else:
@@ -194,19 +194,6 @@ def _poses(path: Path) -> dict[int, _Pose]:
     if not found:
         raise SourceError(f"{path} has no pose; the run has no path")
     return found
-
-
-def _recording(record: RunRecord) -> Recording:
-    summary = record.summary
-    mode: Mode = "mono" if summary["mode"] == "mono" else "auto"
-    return open_source(
-        Path(str(summary["source"])),
-        format=str(summary["format"]),
-        calibration=summary.get("calibration"),
-        mode=mode,
-        topics=summary.get("topics", ()),
-        right_offset_ns=summary.get("right_offset_ns"),
-    )
 
 
 def _model_pose(
