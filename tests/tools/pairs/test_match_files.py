@@ -36,6 +36,11 @@ def match(*words: object) -> Result:
     return CliRunner().invoke(app, ["match", *map(str, words)], catch_exceptions=False)
 
 
+def arrays_of(path: Path) -> dict[str, Any]:
+    with np.load(path) as file:
+        return {name: file[name] for name in file.files}
+
+
 def blob(data: bytes, kind: str, columns: int) -> Any:
     return np.frombuffer(data, kind).reshape(-1, columns)
 
@@ -52,7 +57,7 @@ def test_all_pairs_of_a_folder_agree_in_all_formats(folder: Path, tmp_path: Path
     ]
     with out[0].open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    arrays = np.load(out[1])
+    arrays = arrays_of(out[1])
     database = sqlite3.connect(out[2])
     for number, pair in enumerate(pairs):
         a, b = pair["image_a"], pair["image_b"]
@@ -131,10 +136,10 @@ def test_hdf5_has_the_arrays_of_npz(folder: Path, tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     out = tmp_path / "m.h5", tmp_path / "m.npz"
     assert match(folder, "-o", out[0], "-o", out[1], "--window", 1).exit_code == 0
-    arrays = np.load(out[1])
+    arrays = arrays_of(out[1])
     assert "matches/b.png/d.png" not in arrays
     with h5py.File(out[0]) as file:
-        for name in arrays.files:
+        for name in arrays:
             assert (file[name][()] == arrays[name]).all()
 
 
@@ -144,7 +149,7 @@ def test_images_that_cannot_be_read_are_left_out(folder: Path, tmp_path: Path) -
     result = match(folder, "-o", out, "-q")
     assert result.exit_code == 0
     assert "a.png" in result.stderr and "left out" in result.stderr
-    assert {name for name in np.load(out).files if name.startswith("keypoints")} == {
+    assert {name for name in arrays_of(out) if name.startswith("keypoints")} == {
         f"keypoints/{name}.png" for name in "bcd"
     }
 
