@@ -208,6 +208,36 @@ def test_a_drive_has_its_length_by_positions_with_2_m_of_noise(
     assert _length(path.positions[during]) == pytest.approx(known, rel=0.03)
 
 
+def test_exact_positions_move_a_drive_and_others_leave_every_byte(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    """KITTI raw, 74 m, stereo: positions of 2 m of noise cannot see errors of 0.2 m."""
+    source = shared_data / "kitti_raw_stereo_000-099"
+    truth = vo.open(source).ground_truth
+    assert truth is not None
+    for name, noise_m in (("exact", 0.02), ("rough", 2.0)):
+        noise = np.random.default_rng(1).normal(0.0, noise_m, truth.positions.shape)
+        rows = zip(truth.stamps_ns.tolist(), (truth.positions + noise).tolist(), strict=True)
+        lines = [f"{stamp},{x:.4f},{y:.4f},{z:.4f}" for stamp, (x, y, z) in rows]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["stamp_ns,x,y,z", *lines]) + "\n")
+        vo.run(source, tmp_path / name, "fast", gps=str(tmp_path / f"{name}.csv"))
+    vo.run(source, tmp_path / "none", "fast")
+    for table in ("trajectory.tum", "poses.csv", "covariance.csv"):
+        assert (tmp_path / "rough" / table).read_bytes() == (tmp_path / "none" / table).read_bytes()
+    causal = [(tmp_path / name / "causal.tum").read_bytes() for name in ("exact", "none")]
+    assert causal[0] == causal[1]
+    errors = {
+        name: vo.evaluate(tmp_path / name, source).ate.translation.rmse
+        for name in ("exact", "none")
+    }
+    assert errors["exact"] < 0.9 * errors["none"]
+    (rough,), (exact,) = (summary(tmp_path / name)["positions"] for name in ("rough", "exact"))
+    assert rough["moved_m"] == 0.0 and 1.0 < rough["white_m"] < 3.0
+    assert exact["moved_m"] > 0.05 and exact["used"] > 90 and exact["sigma_m"] < 0.3
+    first = [read_tum(tmp_path / name / "trajectory.tum").world_from_cam[0] for name in errors]
+    np.testing.assert_array_equal(*first)
+
+
 def _length(positions: Floats) -> float:
     return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
 
@@ -217,10 +247,12 @@ def _length(positions: Floats) -> float:
     [
         (["--scale-from", "none.csv"], "none.csv does not exist"),
         (["--scale-from", "late.csv"], "no position during the recording"),
-        (["--georeference"], "--georeference needs positions"),
-        (["--scale-offset", "3"], "--scale-offset is for the positions of --scale-from"),
+        (["--gps", "late.csv"], "no position during the recording"),
+        (["--gps", "late.csv", "--scale-from", "late.csv"], "leave --scale-from out"),
+        (["--georeference"], "--georeference needs positions: give them by --gps"),
+        (["--scale-offset", "3"], "--scale-offset is for the positions of --gps"),
         (["--scale-from", "metres.csv", "--georeference"], "needs latitudes and longitudes"),
-        (["--lever-arm", "0.5", "-1", "-1.5"], "--lever-arm is for the positions of --scale-from"),
+        (["--lever-arm", "0.5", "-1", "-1.5"], "--lever-arm is for the positions of --gps"),
         (
             ["--scale-from", "metres.csv", "--lever-arm", "500", "-1000", "-1500"],
             "--lever-arm is 500 -1000 -1500; give metres",

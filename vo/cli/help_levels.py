@@ -13,7 +13,7 @@ from typer.core import TyperCommand
 from vo.cli.echo import echo
 
 FIRST_OPTIONS: Mapping[str, str] = {
-    "run": "--output --calibration --mode --start --end --config --scale-from --rrd",
+    "run": "--output --calibration --mode --start --end --config --gps --rrd",
     "batch": "--output --calibration --mode --config --set --jobs --report",
     "sweep": "--output --try --trials --held-out --config --jobs",
     "calibrate": "--output --board --columns --rows --square --marker --model --imu",

@@ -59,7 +59,7 @@ def run_command(request: RunRequest) -> None:
 
     Use one camera, and get the scale from GPS (see docs/scale.md):
 
-      vo run drive.mp4 -o out/ --mode mono --scale-from gps.nmea
+      vo run drive.mp4 -o out/ --mode mono --gps gps.nmea
 
     Further examples. Use the left camera, the first 500 frames, and more features:
 

@@ -129,18 +129,27 @@ class Settings:
 class Scale:
     """What measures the scale of a mono run."""
 
+    gps: str | None = option(
+        "Positions of another sensor: they move the path where they show that it drifts, "
+        "and give that of one camera its scale. NMEA, GPX, CSV, a trajectory, a log (or "
+        "LOG:/TOPIC), oxts of KITTI; auto: those in the recording.",
+        default=None,
+        metavar="FILE|AUTO",
+    )
     scale_from: str | None = option(
-        "Mono: the scale, from positions of another sensor: NMEA, CSV, a trajectory, a "
-        "log (or LOG:/TOPIC) with GPS or wheel odometry, oxts of KITTI; auto: those in the "
-        "recording.",
+        "Mono: only the scale, from positions as for --gps, or wheel odometry.",
         default=None,
         metavar="FILE|AUTO",
     )
     scale_offset: float = option(
-        "Added to the times of --scale-from.", default=0.0, min=-9e9, max=9e9, metavar="SECONDS"
+        "Added to the times of --gps or --scale-from.",
+        default=0.0,
+        min=-9e9,
+        max=9e9,
+        metavar="SECONDS",
     )
     lever_arm: tuple[float, float, float] | None = option(
-        "Where the sensor of --scale-from is, from the left camera: metres to the right, "
+        "Where the sensor of --gps or --scale-from is, from the left camera: metres to the right, "
         "down and forward.",
         default=None,
         metavar="X Y Z",
@@ -148,7 +157,7 @@ class Scale:
     )
     georeference: bool = option(
         "Also write the path as path.geojson and path.kml in WGS 84, by the positions of "
-        "--scale-from.",
+        "--gps or --scale-from.",
         "--georeference",
         default=False,
     )
@@ -189,6 +198,7 @@ class Scale:
                 marker_map = Path(self.markers)
         return ScaleOptions(
             positions=self.scale_from,
+            gps=self.gps,
             offset_ns=round(1e9 * self.scale_offset),
             georeference=self.georeference,
             height_m=self.height,

@@ -12,6 +12,7 @@ from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Trajectory
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.markers.marker_problem import MarkerView
+from vo.engine.places.records import Loop
 from vo.engine.trajectory.store import TrajectoryStore
 
 if TYPE_CHECKING:  # many runs need neither
@@ -30,6 +31,11 @@ class MapAlignment:
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
         """Loops that were closed so far."""
         return () if self._memory is None else self._memory.loops.closed_loops
+
+    @property
+    def accepted_loops(self) -> list[Loop]:
+        """Loops that the path agrees with."""
+        return [] if self._memory is None else self._memory.loops.accepted
 
     @property
     def relocalisations(self) -> tuple[Relocalisation, ...]:

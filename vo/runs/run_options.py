@@ -69,6 +69,8 @@ class RunOptions:
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
         optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
+        gps: positions of another sensor, which move the path and give its scale: a file,
+            `LOG:/TOPIC` or `auto`.
         scale: what measures the scale of a mono path, which is converted to metres.
         scale_sources: further sources of scale, of a program of one's own.
         flags: how a command line gives options; its warnings name them so.
@@ -101,6 +103,7 @@ class RunOptions:
     progress: Progress | None = None
     profile_since: float | None = None
     optimizer_process: Popen[bytes] | None = None
+    gps: str | None = None
     scale: ScaleOptions = field(default_factory=ScaleOptions)
     scale_sources: Sequence[ScaleSource] = ()
     flags: Mapping[str, Flag] = field(default_factory=dict)

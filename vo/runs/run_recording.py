@@ -265,7 +265,8 @@ def _opened(
     if isinstance(source, str | Path) and not isinstance(stream, LiveStream):
         path = str(Path(source))
     recording = path if isinstance(source, str | Path) else None
-    scale = make_scale_sources(options.scale, options.scale_sources, stream, recording)
+    given = options.scale if options.gps is None else replace(options.scale, gps=options.gps)
+    scale = make_scale_sources(given, options.scale_sources, stream, recording)
     return OpenedRun(stream, path, options.source_name or path, config, options, scale)
 
 

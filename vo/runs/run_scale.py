@@ -8,10 +8,12 @@ from pathlib import Path
 
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, choose_scales, without_metric
 from vo.base.types import Estimate, Snapshot, Trajectory
+from vo.engine.map_alignment import MapAlignment
 from vo.engine.markers.marker_problem import MarkerView
 from vo.engine.trajectory.store import TrajectoryStore
 from vo.outputs.recorders.recorder import Findings, LoopClosures, Recorder
 from vo.runs.scaling.georeference import write_georeference
+from vo.runs.scaling.moved_path import move_by_positions
 from vo.runs.scaling.scale_sources import ScaleSources
 
 
@@ -44,9 +46,9 @@ class RunScale:
         self,
         store: TrajectoryStore,
         folder: Path,
-        known: Sequence[str] = (),
+        map_alignment: MapAlignment,
     ) -> None:
-        """Measure, convert the path, and write the files of markers and globe.
+        """Measure, convert the path, move it by positions, and write files of markers and globe.
 
         Raises:
             OutputError: one of them cannot be written.
@@ -59,13 +61,17 @@ class RunScale:
         self.findings = without_metric(choose_scales(measured), store.metric.by_map)
         if self.by_world:
             store.apply_scales(self.by_world)
-        notes = list(known)
+        notes = list(map_alignment.notes)
         if self._sources.markers is not None:
             self._sources.markers.write(folder, self.by_world)
             new = self._sources.markers.new_worlds(self.by_world)
             store.turn_worlds(new.poses)
             notes += new.notes
             self.findings = replace(self.findings, world_frames=new.frames)
+        if self._sources.moves is not None and map_alignment.map_use is None:
+            loops = map_alignment.accepted_loops
+            uses = move_by_positions(store, self._sources.moves, loops)
+            self.findings = replace(self.findings, positions=tuple(uses))
         if self._sources.on_globe is not None:
             notes += write_georeference(folder, store.path(), self._sources.on_globe)
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))

@@ -271,8 +271,9 @@ class RunSession:
             self._odometry.map_alignment.save_map(self._options.save_map, self._opened.public_name)
 
     def _apply_scale(self) -> None:
-        map_alignment = self._odometry.map_alignment
-        self._scale.apply(self._odometry.trajectory, self._folder.path, map_alignment.notes)
+        self._scale.apply(
+            self._odometry.trajectory, self._folder.path, self._odometry.map_alignment
+        )
 
     def _finish_recording(self) -> None:
         map_alignment, store = self._odometry.map_alignment, self._odometry.trajectory

@@ -57,6 +57,40 @@ class WorldFrame(NamedTuple):
     sigma_deg: float
 
 
+class PositionUse(NamedTuple):
+    """What became of the positions of another sensor in one world of a run.
+
+    Attributes:
+        segment: number of the world: that of its first segment.
+        source: what they come from, such as `gps`.
+        used: positions that were used.
+        refused: outliers among the others.
+        jumps: number of jumps, between which each part was placed by itself.
+        offset_s: by which their clock is late, which was corrected.
+        white_m: standard deviation, along one axis, of errors that are independent.
+        slow_m: of errors that are correlated in time.
+        slow_s: after which their correlation is 1/e.
+        moved_m: root mean square distance by which keyframes were moved; 0 for a path that
+            explains the positions as it is.
+        sigma_m: standard deviation of the position of a keyframe in the frame of the positions,
+            and of its rotation; None where nothing was moved.
+        sigma_deg: as above.
+    """
+
+    segment: int
+    source: str
+    used: int
+    refused: int
+    jumps: int
+    offset_s: float
+    white_m: float
+    slow_m: float
+    slow_s: float
+    moved_m: float
+    sigma_m: float | None = None
+    sigma_deg: float | None = None
+
+
 @dataclass(frozen=True)
 class ScaleFindings:
     """What sources of scale have measured.
@@ -65,11 +99,13 @@ class ScaleFindings:
         scales: at most one of each world.
         notes: sentences for the user: why there is no scale, and what was left out.
         world_frames: at most one of each world whose frame is not that of its first camera.
+        positions: at most one of each world that positions could move.
     """
 
     scales: tuple[MetricScale, ...] = ()
     notes: tuple[str, ...] = ()
     world_frames: tuple[WorldFrame, ...] = ()
+    positions: tuple[PositionUse, ...] = ()
 
     def by_segment(self) -> dict[int, MetricScale]:
         """The scales by the number of their world."""

@@ -13,7 +13,13 @@ from vo.base.failures import Failure
 from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation, are_doubtful
 from vo.base.records.inertial_use import InertialStates, InertialUse
-from vo.base.records.metric_scale import MetricScale, ScaleFindings, WorldFrame, has_all_scales
+from vo.base.records.metric_scale import (
+    MetricScale,
+    PositionUse,
+    ScaleFindings,
+    WorldFrame,
+    has_all_scales,
+)
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Ints, Skipped, State
 from vo.outputs.results.environment import peak_rss_mb, versions
@@ -44,12 +50,13 @@ _DIGITS: Mapping[object, int | str] = {  # decimals of the numbers of a record, 
     MetricScale: ".9g",
     (WorldFrame, "sigma_m"): ".4g",
     (WorldFrame, "sigma_deg"): 4,
+    PositionUse: 4,
     InertialUse: 6,
     InertialStates: ".6g",
 }
 # Keys that are missing where there is nothing to tell.
 _OPTIONAL = (
-    *("map", "scale", "world_frames", "inertial", "profile", "live"),
+    *("map", "scale", "world_frames", "positions", "inertial", "profile", "live"),
     *("earlier_session", "marker"),
 )
 # Fields that are no keys: reasons, warnings and faults tell them.

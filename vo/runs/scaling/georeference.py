@@ -37,8 +37,8 @@ def write_georeference(folder: Path, path: PosedFrames, source: PositionSource) 
     for alignment in source.alignments:
         rows = path.world == alignment.segment
         enu = alignment.transform(path.trajectory.positions[rows])
-        assert alignment.origin is not None
-        lines.append((alignment.segment, geodetic_from_enu(enu, alignment.origin)))
+        assert alignment.positions.origin is not None
+        lines.append((alignment.segment, geodetic_from_enu(enu, alignment.positions.origin)))
     _write(folder / GEOJSON, _geojson(path, lines))
     _write(folder / KML, _kml(lines))
     missing = sorted(set(path.world.tolist()) - {segment for segment, _ in lines})

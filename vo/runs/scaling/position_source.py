@@ -34,14 +34,15 @@ class PathAlignment:
         segment: number of the world.
         rotation: (3, 3).
         translation: (3,) metres.
-        origin: (3,) latitude, longitude and height of the origin of the positions, None if it is
-            unknown.
+        positions: at the times of the path's clock.
+        offset_s: by which their clock was late.
     """
 
     segment: int
     rotation: Floats
     translation: Floats
-    origin: Floats | None = None
+    positions: Positions
+    offset_s: float
 
     def transform(self, xyz: Floats) -> Floats:
         """Positions (N, 3) of the path in metres, among those of the sensor."""
@@ -69,7 +70,7 @@ class PositionSource:
         lever_arm_m: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> None:
         self.positions = positions
-        self._lever_arm_m = np.array(lever_arm_m, np.float64)
+        self.lever_arm_m = np.array(lever_arm_m, np.float64)
         self.alignments: tuple[PathAlignment, ...] = ()
         self._is_metric = is_metric
 
@@ -113,7 +114,7 @@ class PositionSource:
     ) -> tuple[MetricScale | None, list[str], PathAlignment | None]:
         rows = path.world == segment
         stamps_ns, xyz = path.trajectory.stamps_ns[rows], path.trajectory.positions[rows]
-        arms = path.trajectory.world_from_cam[rows, :3, :3] @ self._lever_arm_m
+        arms = path.trajectory.world_from_cam[rows, :3, :3] @ self.lever_arm_m
         given = self.positions
         if given.is_time_of_day and len(stamps_ns):
             given = given.shifted(_days_ns(given.stamps_ns, stamps_ns))
@@ -138,7 +139,9 @@ class PositionSource:
         notes = _fit_notes(where, fit, offset_s - 1e-9 * shift_ns)
         if found.cause:
             notes.insert(0, f"{where}: {found.cause}, which is corrected")
-        alignment = PathAlignment(segment, fit.rotation, fit.translation, given.origin)
+        moved = given.shifted(-round(1e9 * offset_s))
+        late_s = offset_s - 1e-9 * shift_ns
+        alignment = PathAlignment(segment, fit.rotation, fit.translation, moved, late_s)
         if self._is_metric:
             return None, notes + length_notes, alignment
         fit = fit._replace(sigma=float(np.hypot(fit.sigma, fit.scale * found.slope_sigma)))

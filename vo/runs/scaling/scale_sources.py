@@ -25,7 +25,8 @@ class ScaleOptions:
     """What a run was given to measure its scale.
 
     Attributes:
-        positions: `FILE`, `LOG:/TOPIC` or `auto`, None for no positions.
+        positions: `FILE`, `LOG:/TOPIC` or `auto`, None for no positions: they give the scale.
+        gps: the same; they also move the path.
         offset_ns: added to the times of the positions.
         georeference: whether the path is placed on the globe.
         height_m: height of the camera above flat ground, None if it is unknown.
@@ -38,6 +39,7 @@ class ScaleOptions:
     """
 
     positions: str | None = None
+    gps: str | None = None
     offset_ns: int = 0
     georeference: bool = False
     height_m: float | None = None
@@ -49,9 +51,10 @@ class ScaleOptions:
 
 
 class ScaleSources(NamedTuple):
-    """All sources of scale of a run; `on_globe` and `markers` write files."""
+    """All sources of scale of a run; `on_globe` and `markers` write files, `moves` the path."""
 
     all: tuple[ScaleSource, ...] = ()
+    moves: PositionSource | None = None
     on_globe: PositionSource | None = None
     markers: MarkerSource | None = None
 
@@ -88,15 +91,17 @@ def make_scale_sources(
                 f"`height_m` is {options.height_m:g}; give metres above the ground, such as 1.65"
             )
         others = (HeightSource(options.height_m), *others)
-    if options.positions is None:
+    given = options.positions if options.gps is None else options.gps
+    if given is None:
         if options.georeference:
-            raise ConfigError("`georeference` needs positions: give them by `positions`")
+            raise ConfigError("`georeference` needs positions: give them by `gps`")
         if options.offset_ns:
-            raise ConfigError("`offset_ns` is for the positions of `positions`; give both")
+            raise ConfigError("`offset_ns` is for the positions of `gps`; give both")
         if options.lever_arm_m is not None:
-            raise ConfigError("`lever_arm_m` is for the positions of `positions`; give both")
-        return ScaleSources(tuple(others), None, markers)
-    positions = read_positions(options.positions, recording).shifted(options.offset_ns)
+            raise ConfigError("`lever_arm_m` is for the positions of `gps`; give both")
+        return ScaleSources(tuple(others), markers=markers)
+    _check_gps(options)
+    positions = read_positions(given, recording).shifted(options.offset_ns)
     if options.georeference and positions.origin is None:
         raise ConfigError(
             f"`georeference` needs latitudes and longitudes; {positions.name} has metres"
@@ -107,7 +112,21 @@ def make_scale_sources(
         source.check_times(stream.stamps_ns)
     if len(positions.stamps_ns) < 2:
         raise SourceError(f"{positions.name} has only one position; give at least two")
-    return ScaleSources((source, *others), source if options.georeference else None, markers)
+    return ScaleSources(
+        (source, *others),
+        None if options.gps is None else source,
+        source if options.georeference else None,
+        markers,
+    )
+
+
+def _check_gps(options: ScaleOptions) -> None:
+    if options.gps is None:
+        return
+    if options.positions is not None:
+        raise ConfigError("`gps` gives the scale too; leave `positions` out")
+    if options.world is not None or options.marker_map is not None:
+        raise ConfigError("`gps` moves the path, and markers place it in their frame; give one")
 
 
 def _lever_arm(options: ScaleOptions) -> tuple[float, float, float]:

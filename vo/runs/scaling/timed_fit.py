@@ -35,7 +35,7 @@ def fit_in_time(
     result: PositionFit | None = None
     for _ in range(5):
         moved = given.shifted(offset_ns)
-        between, fraction, rows = _associate(stamps_ns, moved.stamps_ns)
+        between, fraction, rows = associate(stamps_ns, moved.stamps_ns)
         if len(rows) < MIN_POSITIONS:
             if result is not None:
                 break
@@ -73,7 +73,7 @@ def fit_in_time(
     return result, -1e-9 * offset_ns
 
 
-def _associate(stamps_ns: Ints, times_ns: Ints) -> tuple[Ints, Floats, Ints]:
+def associate(stamps_ns: Ints, times_ns: Ints) -> tuple[Ints, Floats, Ints]:
     """Pose before each time, fraction to the next one, and rows of the times between poses."""
     if len(stamps_ns) < 2:
         empty = np.empty(0, np.int64)
