@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -175,6 +176,13 @@ def test_exact_positions_are_followed_to_their_noise() -> None:
     assert found.is_moved
     near = np.median(errors_m(drive, found.poses)[drive.fixes.at])
     assert near < 0.05
+
+
+def test_positions_of_another_path_move_nothing() -> None:
+    drive, other = make_drive(0), make_drive(7)
+    fixes = replace(drive.fixes, xyz=other.fixes.xyz)
+    found = fuse_positions(drive.poses, fixes, NO_LOOPS, is_metric=True)
+    assert found is None or not found.is_moved
 
 
 def test_few_positions_are_not_used() -> None:

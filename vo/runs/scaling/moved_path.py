@@ -20,6 +20,7 @@ from vo.runs.scaling.timed_fit import associate
 _MAX_LOOPS = 16
 _LOG_SCALE = 1e-4  # standard deviation that the scale of a loop has at least
 _ROUNDED = 12.0**-0.5
+_HELD_M = 0.1  # way of the camera between two positions that are equal to the last digit
 _USUAL_RATIO = (0.2, 5.0)  # of the uncertainties that a receiver states
 
 
@@ -99,10 +100,14 @@ def _fixes(
     is_stated = len(sigma) > 0 and np.isfinite(sigma).all() and (sigma > 0.0).all()
     relative = sigma / np.median(sigma) if is_stated else np.ones(len(chosen))
     times_s = 1e-9 * (given.stamps_ns[chosen] - stamps_ns[0])
-    return Fixes(
-        *(times_s, at, in_cam, way / elapsed[:, None], given.xyz[chosen]),
-        np.clip(relative, *_USUAL_RATIO),
+    xyz = given.xyz[chosen]
+    # Receivers repeat the last position where they are slow, or have none.
+    moves = np.linalg.norm(np.diff(points, axis=0), axis=1) > max(_HELD_M, 2.0 * given.resolution_m)
+    is_new = np.r_[True, ~(moves & (np.diff(xyz, axis=0) == 0.0).all(axis=1))][: len(xyz)]
+    fixes = Fixes(
+        *(times_s, at, in_cam, way / elapsed[:, None], xyz), np.clip(relative, *_USUAL_RATIO)
     )
+    return fixes.rows(is_new)
 
 
 def _loop_factors(loops: Sequence[Loop], ids: Ints, scale: Floats) -> LoopFactors:

@@ -23,6 +23,7 @@ _MIN_FIXES = 10
 _GROUPS, _COARSE_GROUPS = 250, 60  # positions; more are averaged
 _ROUNDS = 3  # of the linearisation
 _EVIDENCE = -3.0  # logarithm of the ratio of likelihoods, above which the path moves
+_MAX_MOVED = 0.25  # of the extent of the path: more is no drift
 _SIGNIFICANT, _COMPARED = 1.5, 40  # movement, relative to what stays uncertain; poses of it
 _NEAR = 20  # positions on each side that an outlier is compared with
 _OUTLIER = 5.5  # in standard deviations
@@ -124,15 +125,19 @@ def fuse_positions(
         piece = _pieces(fixes.rows(used), fixes.xyz[used] - _positions(fusion.poses, fixes, used))
         is_moved = fusion.learn(fixes.rows(used), piece)
         if not is_moved:
-            unknown = np.full((len(poses), 7, 7), np.nan)
-            poses[:, :3, 3] += centre
-            return FusedPath(poses, unknown, unknown, used, fusion.noise, 0, is_moved)
+            break
         refused = fusion.refused(fixes.rows(used), piece)
         used[np.flatnonzero(used)[refused]] = False
         if used.sum() < _MIN_FIXES:
             return None
         piece = piece[~refused]
         fusion.move(fixes.rows(used), piece)
+    off = np.linalg.norm((fusion.poses - poses)[:, :3, 3], axis=1)
+    extent = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)))
+    if not is_moved or np.sqrt((off**2).mean()) > _MAX_MOVED * extent:
+        poses[:, :3, 3] += centre
+        unknown = np.full((len(poses), 7, 7), np.nan)
+        return FusedPath(poses, unknown, unknown, used, fusion.noise, 0, False)
     from_first, in_frame = fusion.covariances()
     moved = fusion.poses.copy()
     moved[:, :3, 3] += centre
