@@ -39,6 +39,7 @@ from vo.cli.report import report_command
 from vo.cli.run import run_command
 from vo.cli.sweep import sweep_command
 from vo.cli.synth import synth_command
+from vo.cli.video import video_command
 from vo.cli.view import view_command
 from vo.cli.vocabulary import vocabulary_command
 from vo.cli.warmup import warmup_command
@@ -150,6 +151,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
         "compare": compare_command,
         "map": map_command,
         "render": render_command,
+        "video": video_command,
     },
     "Recordings and cameras": {
         "calibrate": calibrate_command,

@@ -64,6 +64,7 @@ COLOURS = {
 
 _PATH = re.compile(r' d="[^"]*"')
 _DIGITS = re.compile(r"(\.\d\d)\d+")  # more than a hundredth of a point is not visible
+_FAMILY = re.compile(r" ?font-family: [^;\"]*;")
 _FONT = re.compile(r"font: ([0-9.]+px) [^;\"]*")
 _REFERENCE = re.compile(r'(\bid="|url\(#|href="#)')
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -90,6 +91,7 @@ def inline_svg(figure: Figure, prefix: str, caption: str) -> Markup:
     rest = _REFERENCE.sub(lambda match: f"{match[1]}{prefix}-", rest)
     rest = _PATH.sub(lambda match: _DIGITS.sub(r"\1", match[0]), rest)
     rest = _FONT.sub(lambda match: f"font-size: {match[1]}", rest)
+    rest = _FAMILY.sub("", rest)
     for colour, name in COLOURS.items():
         rest = rest.replace(colour, f"var(--{name})")
     inside = rest[: rest.rindex("</svg>")]

@@ -141,8 +141,11 @@ def _over_time(
     figure = new_figure(4.6)
     rows = figure.subplots(3, 1, sharex=True)
     if truth is not None and shown.truth is not None:
-        seconds = shown.paths[0].entry.seconds(shown.truth.stamps_ns)
-        for axes, values in zip(rows, truth.T, strict=True):
+        stamps = np.concatenate([path.stamps_ns for path in shown.paths])
+        known = shown.truth.stamps_ns
+        during = (known >= stamps.min()) & (known <= stamps.max())
+        seconds = shown.paths[0].entry.seconds(known[during])
+        for axes, values in zip(rows, truth[during].T, strict=True):
             axes.plot(*thin(seconds, values), color=MUTED, lw=3.2, alpha=0.45, label="ground truth")
     for path, (values, sigmas) in zip(shown.paths, curves, strict=True):
         entry, seconds = path.entry, path.entry.seconds(path.stamps_ns)

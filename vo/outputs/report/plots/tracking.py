@@ -114,7 +114,7 @@ _GROUPS = {
     "map": ("start", "map"),
     "smooth": ("window", "smooth"),
 }
-_MAX_BINS = 200
+_MAX_BINS = 120
 
 
 def draw_stages(entry: Entry) -> Figure | None:
