@@ -393,3 +393,22 @@ def test_error_for_cameras_with_different_viewing_directions(
     first, second = (record.getMessage() for record in caplog.records)
     assert "/front/image is used as the left camera and /rear/image as the right one" in first
     assert "differ by 162 degrees, too much for a stereo pair" in second
+
+
+@pytest.mark.parametrize("odd", [0, 3])
+def test_an_image_of_another_size_is_left_out(tmp_path: Path, odd: int) -> None:
+    """Also the first one, as of a camera that begins in another mode."""
+    small = np.zeros((24, 32), np.uint8).tobytes()
+    stamp = layouts.STAMPS_NS[odd]
+    path = write_log(
+        tmp_path / "log.mcap",
+        [
+            (topic, replace(message, width=32, height=24, data=small))
+            if isinstance(message, ImageMessage) and message.stamp_ns == stamp
+            else (topic, message)
+            for topic, message in layouts.log_messages()
+        ],
+    )
+    source = open_source(path)
+    kept = [frame.index for frame in source.frames()]
+    assert kept == [number for number in range(layouts.COUNT) if number != odd]

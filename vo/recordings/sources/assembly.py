@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,6 +79,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     if contents.right is None:
         warn_of_halves(contents.name, first)
     calibration = contents.calibrate(size)
+    size = _usual_size(contents.left, size, calibration.rig.cam0)
     _check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
     offset_ns = _right_offset(contents, rig)
@@ -215,6 +217,18 @@ def _size_of(image: Pixels) -> ImageSize:
     return width, height
 
 
+def _usual_size(shots: Sequence[Shot], size: ImageSize, camera: Camera) -> ImageSize:
+    """The size of the calibration if most images have it, though the first one has another."""
+    calibrated = camera.width, camera.height
+    if size == calibrated:
+        return size
+    sizes = []
+    for number in {1, len(shots) // 2, len(shots) - 1} - {0, len(shots)}:
+        with suppress(SourceError):
+            sizes.append(_size_of(shots[number].image.read()))
+    return calibrated if 2 * sizes.count(calibrated) > len(sizes) else size
+
+
 def _check_size(
     calibration: Calibration, camera: Camera, size: ImageSize, shots: Sequence[Shot]
 ) -> None:
@@ -252,7 +266,8 @@ def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mod
             )
         _log.warning("%s: right images not used, because cam1 is not calibrated", contents.name)
         return Rig(rig.cam0)
-    _check_size(calibration, rig.cam1, _size_of(_first_image(contents.right)), contents.right)
+    right_size = _usual_size(contents.right, _size_of(_first_image(contents.right)), rig.cam1)
+    _check_size(calibration, rig.cam1, right_size, contents.right)
     return rig
 
 
