@@ -24,7 +24,10 @@ WINGS = {
     "vo.tools": {"vo.base", "vo.engine", "vo.recordings", "vo.outputs"},
     # Markers give the scale of a run; it knows no other tool.
     "vo.runs": {"vo.base", "vo.engine", "vo.recordings", "vo.outputs", "vo.tools.markers"},
-    "vo.api": {"vo.base", "vo.engine", "vo.recordings", "vo.outputs", "vo.tools", "vo.runs"},
+    "vo.api": {
+        *("vo.base", "vo.engine", "vo.recordings", "vo.outputs", "vo.tools", "vo.runs"),
+        "data_synth",
+    },
     "vo.cli": {
         *("vo.base", "vo.engine", "vo.recordings", "vo.outputs", "vo.tools", "vo.runs"),
         *("vo.api", "data_synth"),

@@ -8,6 +8,7 @@
     vo.read_trajectory, vo.read_calibration     files, in the usual formats
     vo.match, vo.find_markers, vo.ObjectDatabase, vo.features      single images
     vo.maps                                     saved maps
+    vo.info, vo.convert, vo.calibrate, vo.synth, vo.report, vo.batch: the other commands
 
 Go on with help(vo.run), help(vo.Odometry), or docs/library.md. All errors are a vo.VoError. The
 names in `__all__` are public; others may change in any release.
@@ -23,6 +24,7 @@ from vo.base.version import __version__
 
 if TYPE_CHECKING:
     from vo.api import features, maps
+    from vo.api.commands import batch, calibrate, convert, info, report, synth
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
     from vo.api.matching import match, panorama
@@ -106,9 +108,13 @@ _DEFINED_IN = {
     "Summary": "vo.outputs.results.summary:Summary",
     "Trajectory": "vo.base.types:Trajectory",
     "VoError": "vo.base.errors:VoError",
+    "batch": "vo.api.commands:batch",
+    "calibrate": "vo.api.commands:calibrate",
+    "convert": "vo.api.commands:convert",
     "evaluate": "vo.api.functions:evaluate",
     "features": "vo.api.features",
     "find_markers": "vo.api.markers:find_markers",
+    "info": "vo.api.commands:info",
     "load_config": "vo.base.config:load_config",
     "maps": "vo.api.maps",
     "match": "vo.api.matching:match",
@@ -118,7 +124,9 @@ _DEFINED_IN = {
     "read_calibration": "vo.recordings.formats.calibration:read_calibration",
     "read_trajectory": "vo.recordings.formats.trajectory:read_trajectory",
     "render": "vo.tools.rendering.render:render",
+    "report": "vo.api.commands:report",
     "run": "vo.api.functions:run",
+    "synth": "vo.api.commands:synth",
     "write_calibration": "vo.recordings.formats.calibration:write_calibration",
     "write_trajectory": "vo.recordings.formats.trajectory:write_tum",
 }
@@ -163,9 +171,13 @@ __all__ = [
     "Trajectory",
     "VoError",
     "__version__",
+    "batch",
+    "calibrate",
+    "convert",
     "evaluate",
     "features",
     "find_markers",
+    "info",
     "load_config",
     "maps",
     "match",
@@ -175,7 +187,9 @@ __all__ = [
     "read_calibration",
     "read_trajectory",
     "render",
+    "report",
     "run",
+    "synth",
     "write_calibration",
     "write_trajectory",
 ]

@@ -18,11 +18,11 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoder
 from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
 from typer.testing import CliRunner, Result
 
+from vo.api.conversion_size import scaled_camera
 from vo.base.config import load_config
 from vo.base.geometry.cameras import project
 from vo.base.types import Camera, Floats, Frame, Ints, Trajectory
 from vo.cli.app import app
-from vo.cli.conversion_size import scaled_camera
 from vo.recordings.sources.images import Pixels
 from vo.recordings.sources.registry import open_source
 from vo.runs.run_recording import run

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,10 +20,6 @@ from vo.cli.stopping import interrupts_named
 if TYPE_CHECKING:
     from vo.tools.calibrating.board import Board
     from vo.tools.calibrating.calibrate import CalibrationResult
-
-
-_MAX_GROUP = 10
-"""Largest number of frames read for each frame searched."""
 
 
 def calibrate_command(request: Request) -> None:
@@ -115,28 +110,20 @@ def _print_board(path: Path, board: Board) -> None:
 
 
 def _calibrate(request: Request, path: Path, board: Board) -> CalibrationResult:
-    from vo.base.errors import CalibrationError
-    from vo.tools.calibrating.calibrate import calibrate
-    from vo.tools.calibrating.fit import MIN_VIEWS
-    from vo.tools.calibrating.missing_board import explain_missing_board
-    from vo.tools.calibrating.views import detect_views, least_motion_frames
+    from vo.tools.calibrating.recorded import calibrate_recorded
 
-    start, end, max_frames = request.frames.start, request.frames.end, request.look_at
+    frames = request.frames
     with request.printing.warnings():
         source = open_recording(path, request)
-        count = max(min(end or len(source), len(source)) - start, 1)
-        group_size = min(-(-count // max_frames), _MAX_GROUP)
-        stride = -(-count // (max_frames * group_size))
-        step = stride * group_size
-        chosen = least_motion_frames(source.frames(start, end, stride), group_size)
-        cameras = 2 if source.rig.is_stereo else 1
-        with search_progress(request.printing.errors, -(-count // step)) as progress:
-            detected = detect_views(board, chosen, cameras, os.cpu_count() or 1, progress)
-        if len(detected.views) < min(MIN_VIEWS, detected.frames / 2):
-            frames = source.frames(start, end, step)
-            raise CalibrationError(explain_missing_board(board, detected, frames))
-        size = (source.rig.cam0.width, source.rig.cam0.height)
-        return calibrate(board, detected, size, request.model.value, request.views)
+        return calibrate_recorded(
+            source,
+            board,
+            (frames.start, frames.end),
+            model=request.model.value,
+            look_at=request.look_at,
+            views=request.views,
+            progress=lambda total: search_progress(request.printing.errors, total),
+        )
 
 
 def _write(result: CalibrationResult, output: Path, picture: Path | None) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from data_synth.records import Recording
-    from vo.cli.conversion import Conversion
+    from vo.api.conversion import Conversion
     from vo.tools.inspection.opening import OpenedRecording
 
 
@@ -75,16 +73,17 @@ def convert_command(
 
       vo convert kitti/06 small.mcap --resize 0.5 --codec jpeg --to mcap-ros2
     """
+    from vo.api.conversion import Conversion
+    from vo.api.conversion_choices import output_format, size_of
     from vo.cli.console import standard_error
-    from vo.cli.conversion import Conversion
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.tools.inspection.opening import open_leniently
 
     refuse_to_overwrite((source, reading.calibration), (output,))
     console = standard_error()
-    chosen = _output_format(to, output)
+    chosen = output_format(to, output)
     settings = Conversion(
-        chosen, codec, frames.start, frames.end, frames.stride, _size(resize), gray
+        chosen, codec, frames.start, frames.end, frames.stride, size_of(resize), gray
     )
     with printing.details():
         opened = open_leniently(source, **reading.keywords)
@@ -99,7 +98,7 @@ def convert_command(
 def _convert(
     opened: OpenedRecording, output: Path, settings: Conversion, force: bool, console: Console
 ) -> Recording:
-    from vo.cli.conversion import convert
+    from vo.api.conversion import convert
     from vo.cli.progress import frame_bar
 
     with frame_bar(console, "converting") as (_, show):
@@ -130,48 +129,3 @@ def _sentence(facts: dict[str, Any]) -> str:
         f"{facts['format']} ({facts['codec']}), "
         f"{counted(facts['ground_truth_poses'], 'ground truth pose')}{imu}"
     )
-
-
-def _output_format(format: str | None, output: Path) -> str:
-    from data_synth.writers.registry import FORMATS
-    from vo.base.errors import ConfigError
-    from vo.recordings.sources.registry import VIDEO_SUFFIXES
-
-    suffix = output.suffix.lower()
-    if suffix in VIDEO_SUFFIXES:
-        raise ConfigError(
-            f"{output}: videos cannot be written; write images into a folder (--to folder), of "
-            "which ffmpeg makes a video"
-        )
-    if suffix in (".bag", ".db3"):
-        raise ConfigError(
-            f"{output}: ROS bags cannot be written; give a file ending in .mcap, with --to "
-            "mcap-ros2 for ROS 2"
-        )
-    is_file = suffix == ".mcap"
-    chosen = format or ("mcap" if is_file else "euroc")
-    if chosen not in FORMATS:
-        raise ConfigError(f"cannot write format '{chosen}'; use one of {', '.join(FORMATS)}")
-    if bool(FORMATS[chosen].suffix) != is_file:
-        kind = "a file ending in .mcap" if FORMATS[chosen].suffix else "a folder"
-        raise ConfigError(f"format {chosen} needs {kind} as output, not {output}")
-    return chosen
-
-
-def _size(text: str | None) -> tuple[int, int] | float | None:
-    from vo.base.errors import ConfigError
-
-    if text is None:
-        return None
-    sides = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if sides is not None and min(int(sides[1]), int(sides[2])) > 0:
-        return int(sides[1]), int(sides[2])
-    try:
-        factor = float(text)
-    except ValueError:
-        factor = math.nan
-    if not 0.01 <= factor <= 10.0:
-        raise ConfigError(
-            f"invalid --resize {text}; use a size such as 640x400, or a factor such as 0.5"
-        )
-    return factor

@@ -115,8 +115,8 @@ def eval_command(
 
       vo eval log.mcap truth.tum --topic estimate=/odom
     """
+    from vo.api.eval_inputs import read_inputs
     from vo.base.extras import require
-    from vo.cli.eval_inputs import read_inputs
     from vo.cli.eval_table import print_evaluation
     from vo.outputs.evaluation.evaluation import evaluate
     from vo.outputs.results.output_paths import is_run_folder, refuse_to_overwrite

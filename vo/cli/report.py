@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +11,7 @@ from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
 
 if TYPE_CHECKING:
-    from vo.outputs.report.entry import Entry
-    from vo.outputs.report.run_folder import RunRecord
+    pass
 
 
 def report_command(
@@ -53,6 +51,7 @@ def report_command(
 
       vo report out/mono out/stereo -o compared.html --picture figures/
     """
+    from vo.api.report_entries import read_entries
     from vo.base.extras import require
     from vo.outputs.report.page import make_page, write_page, write_plots
     from vo.outputs.report.plots.catalogue import draw_all
@@ -61,7 +60,7 @@ def report_command(
     require("matplotlib", extra="report", what="reports")
     page = output or (runs[0] if len(runs) == 1 else Path()) / "report.html"
     with printing.warnings():
-        entries = _entries(runs, truth, images)
+        entries = read_entries(runs, truth, images)
     recordings = [Path(str(entry.run.summary["source"])) for entry in entries]
     refuse_to_overwrite([*recordings, truth], [page, picture])
     figures = list(draw_all(entries))
@@ -79,38 +78,3 @@ def report_command(
         "runs": list(map(str, runs)),
     }
     printing.show(lambda: record, text)
-
-
-def _entries(folders: Sequence[Path], truth: Path | None, images: bool) -> list[Entry]:
-    from vo.outputs.report.entry import first_stamps, names_of
-    from vo.outputs.report.run_folder import read_run
-
-    records = [read_run(folder) for folder in folders]
-    described = zip(names_of(folders), range(len(folders)), records, strict=True)
-    zeros = first_stamps(records)
-    return [
-        _entry(name, number, run, zeros[number], truth, images) for name, number, run in described
-    ]
-
-
-def _entry(
-    name: str, number: int, run: RunRecord, zero_ns: int, truth: Path | None, images: bool
-) -> Entry:
-    from vo.cli.report_sources import evaluate_run, open_recording, take_thumbnails
-    from vo.outputs.report.entry import Entry
-
-    source, why_no_truth = open_recording(run)
-    evaluated = evaluate_run(run, truth, source, why_no_truth)
-    return Entry(
-        name,
-        number,
-        run,
-        evaluated.evaluation,
-        evaluated.truth,
-        evaluated.origin,
-        evaluated.notes,
-        take_thumbnails(run, source, zero_ns) if images and source is not None else (),
-        zero_ns,
-        evaluated.others,
-        evaluated.causal_ate_m,
-    )

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.api.eval_inputs import is_log, truth_of_log
 from vo.base.errors import EvaluationError, SourceError, VoError
 from vo.base.types import Mode, Trajectory
-from vo.cli.eval_inputs import is_log, truth_of_log
 from vo.outputs.evaluation.association import tracked_part
 from vo.outputs.evaluation.evaluation import Evaluation, evaluate
 from vo.outputs.evaluation.inputs import Inputs, causal_ate_m, inputs_with_own_truth, load_inputs

@@ -87,7 +87,7 @@ def _refuse_odometry_as_truth(path: Path) -> None:
     sources = list_pose_sources(open_container(path, _log_format(path)))
     if any(named_like_truth(each.name) for each in sources):
         return
-    advice = f"choose poses with --topic truth={sources[0].name}, or " if sources else ""
+    advice = f"choose poses with `topics=truth={sources[0].name}`, or " if sources else ""
     raise SourceError(f"{path} contains no ground truth; {advice}give a trajectory file")
 
 
@@ -112,19 +112,19 @@ def _parse(options: Sequence[str], logs: Sequence[str]) -> dict[str, str]:
     named: dict[str, str] = {}
     for option in options:
         if not logs:
-            raise SourceError(f"--topic {option}: neither input is a log, so there are no topics")
+            raise SourceError(f"`topics={option}`: neither input is a log, so there are no topics")
         side, equals, name = option.partition("=")
         if not equals:
             side, name = (logs[0] if len(logs) == 1 else ""), option
         if side not in (_ESTIMATE, _TRUTH) or not name:
             raise SourceError(
-                f"--topic {option}: say whose poses these are, --topic estimate=TOPIC or --topic "
-                "truth=TOPIC"
+                f"`topics={option}`: say whose poses these are, `topics=estimate=TOPIC` or "
+                "`topics=truth=TOPIC`"
             )
         if side not in logs:
-            raise SourceError(f"--topic {option}: the {side} is not a log, so it has no topics")
+            raise SourceError(f"`topics={option}`: the {side} is not a log, so it has no topics")
         if side in named:
-            raise SourceError(f"--topic gives two topics for the {side}: {named[side]} and {name}")
+            raise SourceError(f"`topics` gives two topics for the {side}: {named[side]} and {name}")
         named[side] = name
     return named
 

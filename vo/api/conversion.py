@@ -13,18 +13,18 @@ import numpy as np
 
 from data_synth.records import Pixels, Recording, Shot
 from data_synth.writers.registry import FORMATS, load_writer
-from vo.base.errors import ConfigError, OutputError, SourceError
-from vo.base.geometry.transforms import inverse
-from vo.base.types import Frame, Ints, Rig, Trajectory
-from vo.cli.conversion_ground_truth import (
+from vo.api.conversion_ground_truth import (
     body_truth,
     no_poses,
     poses_around,
     poses_at,
     write_original_truth,
 )
-from vo.cli.conversion_imu import imu_around
-from vo.cli.conversion_size import Size, resized, resized_depth, scaled_rig
+from vo.api.conversion_imu import imu_around
+from vo.api.conversion_size import Size, resized, resized_depth, scaled_rig
+from vo.base.errors import ConfigError, OutputError, SourceError
+from vo.base.geometry.transforms import inverse
+from vo.base.types import Frame, Ints, Rig, Trajectory
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.images import ImageKind, is_colour
 from vo.recordings.sources.sequence import select_frames
@@ -162,17 +162,17 @@ def _check(recording: Recording, settings: Conversion) -> None:
     known = FORMATS[settings.format]
     if settings.codec not in known.codecs:
         raise ConfigError(
-            f"format {settings.format} does not support codec {settings.codec}; use --codec "
+            f"format {settings.format} does not support codec {settings.codec}; use `codec` "
             f"{' or '.join(known.codecs)}"
         )
     if settings.format == "kitti" and any(dropped.any() for dropped in recording.dropped):
         missing = int(np.sum([dropped.sum() for dropped in recording.dropped]))
         raise ConfigError(
             f"format kitti does not allow missing images, and {missing} are missing; use "
-            "--to euroc, or --mode mono"
+            "`to=euroc`, or `mode=mono`"
         )
     if settings.format == "tum" and not recording.has_depth:
-        raise ConfigError("format tum needs depth images, and there are none; use --to euroc")
+        raise ConfigError("format tum needs depth images, and there are none; use `to=euroc`")
     known.check(recording.rig, False)
 
 
@@ -232,7 +232,7 @@ def _find_unreadable(source: SourceRecording, plan: _Plan) -> None:
 def _refuse_existing(path: Path, force: bool) -> None:
     exists = path.exists() and (not path.is_dir() or any(path.iterdir()))
     if exists and (path.is_dir() or not force):
-        hint = "remove it first" if path.is_dir() else "replace it with --force"
+        hint = "remove it first" if path.is_dir() else "replace it with `force=true`"
         raise OutputError(f"{path} exists already; give another name, or {hint}")
 
 

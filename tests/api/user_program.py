@@ -1,0 +1,54 @@
+"""A user's program with the whole Python interface, for `mypy --strict`; it is not run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import vo
+
+
+def commands(folder: Path) -> None:
+    recording: Path = vo.synth(folder / "walk", "demo", seconds=3.0, mono=True, camera="kitti")
+    found = vo.info(recording, mode="mono", topics=["/left"])
+    print(found.path, found.command, [each.what for each in found.findings])
+    small: Path = vo.convert(recording, folder / "small", resize="0.5", start=3, to="euroc")
+    summary: vo.Summary = vo.run(
+        small,
+        folder / "out",
+        "fast",
+        overrides=["features.count=900"],
+        mode="mono",
+        height=1.65,
+        mask=folder / "body.png",
+        ignore=["0,0,9,9"],
+        markers=0.16,
+        scale_from="gps.nmea",
+        georeference=True,
+        lever_arm=(0.0, 0.1, 0.2),
+        imu=False,
+        loops=True,
+        save_map=folder / "house.map",
+        mcap=folder / "run.mcap",
+        poses=["udp://localhost:9000"],
+    )
+    print(summary.verdict.word, vo.evaluate(folder / "out", small).ate.translation.rmse)
+    page: Path = vo.report([folder / "out"], truth=None, images=False)
+    lens = vo.calibrate(folder / "board", board="charuco", square=0.02).rig.cam0
+    result = vo.batch([recording, small], folder / "all", jobs=2, report=True)
+    print(page, lens.fx, [each.name for each in result.unfinished])
+    vo.run(small, folder / "out", heigth=1.65)  # type: ignore[call-arg]
+    vo.run(small, folder / "out", end="5")  # type: ignore[arg-type]
+    vo.convert(small, folder / "b", too="kitti")  # type: ignore[call-arg]
+
+
+def frames(images: list[np.ndarray[tuple[int, int], np.dtype[np.uint8]]]) -> vo.Trajectory:
+    with vo.Odometry("camera.yaml", mode="mono", overrides=["memory.map=house.map"]) as odometry:
+        for number, image in enumerate(images):
+            estimate: vo.Estimate = odometry.track(number * 50_000_000, image)
+            if estimate.state.has_pose and estimate.position is not None:
+                print(estimate, estimate.position[0])
+            elif estimate.failure is not None:
+                print(str(estimate.failure).upper())
+        return odometry.trajectory()
