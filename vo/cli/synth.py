@@ -166,7 +166,8 @@ def _effect_settings(text: str | None) -> list[str]:
         if part == "none" and number == 0:
             from data_synth.recipe import Effects
 
-            settings += [f"effects.{name}=0" for name in Effects.model_fields]
+            names = [name for name in Effects.model_fields if name != "light"]
+            settings += [f"effects.{name}=0" for name in names]
         elif "=" in part:
             settings.append(f"effects.{part}")
         else:
