@@ -20,7 +20,7 @@ FIRST_OPTIONS: Mapping[str, str] = {
     "synth": "--preset --world --motion --camera --mono --seconds --to --force",
     "convert": "--to --start --end --stride --resize --calibration --force",
     "features": "--detector --descriptor --compare --calibration --frame --picture",
-    "match": "--calibration --detector --matcher --model --picture",
+    "match": "--output --pairs --calibration --detector --matcher --model --picture --best",
     "recognize": "--database --width --min-confidence --calibration --picture",
     "markers": "--length --dictionary --board --calibration --print --ids --picture --csv",
 }
