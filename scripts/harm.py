@@ -151,7 +151,7 @@ def rows(recording: Path, end: int | None = None) -> Iterator[str]:
     name = re.sub(r"-[0-9a-f]{10}$", "", recording.name)  # without the key of a cache
     stream = vo.open(recording)
     for mode in ("stereo", "mono") if stream.rig.is_stereo else ("mono",):
-        complete = measure(recording, mode, end=end)
+        complete = visual = measure(recording, mode, end=end)
         idle = []
         for addition in (each for each in ADDITIONS if mode in each.modes):
             if addition.name not in complete.acting:
@@ -159,15 +159,17 @@ def rows(recording: Path, end: int | None = None) -> Iterator[str]:
                 continue
             without = measure(recording, mode, addition, end=end)
             yield _row(f"{name}, {mode}", addition.name, complete, without)
+            if addition is ADDITIONS[0]:
+                visual = without
         if idle:
             cells = [f"{name}, {mode}", f"{', '.join(idle)}: inactive", _figure(complete), "same"]
             yield f"| {' | '.join([*cells, ''])} |"
         if mode == "mono":
-            yield from _scale_rows(recording, name, complete, end)
+            yield from _scale_rows(recording, name, visual, end)
 
 
-def _scale_rows(recording: Path, name: str, complete: Run, end: int | None) -> Iterator[str]:
-    """Rows of the sources of scale, which may not change the shape of the path."""
+def _scale_rows(recording: Path, name: str, visual: Run, end: int | None) -> Iterator[str]:
+    """Rows of the sources of scale, which replace an inertial sensor, and keep the path's shape."""
     with tempfile.TemporaryDirectory() as folder:
         positions = Path(folder) / "positions.csv"
         _write_positions(recording, positions)
@@ -177,7 +179,7 @@ def _scale_rows(recording: Path, name: str, complete: Run, end: int | None) -> I
         sources["markers, without any"] = ScaleOptions(marker_length_m=_MARKER_M)
         for source, scale in sources.items():
             run = measure(recording, "mono", end=end, scale=scale)
-            yield _row(f"{name}, mono", f"scale by {source}", run, complete)
+            yield _row(f"{name}, mono", f"scale by {source}", run, visual)
 
 
 def _row(name: str, addition: str, complete: Run, without: Run) -> str:

@@ -18,6 +18,7 @@ from vo.engine.inertial.estimation import (
     Prior,
     estimate_states,
     first_prior,
+    weighed_states,
 )
 from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate
 from vo.engine.inertial.preintegration import Interval, Preintegrated, preintegrate
@@ -207,16 +208,14 @@ class InertialChain:
         if solved is not None:
             states = solved.estimate.states
             steps = self._steps(self._origin, self._origin + states.number)
+            steps = replace(steps, variance=solved.estimate.variance)
             problem = ChainProblem(steps, self._first_prior(states), self._noise)
             if self.agreement.contradiction is None:
                 self.agreement = agreement(problem, states)
         return solved
 
     def smoothed(self) -> KeyframeStates | None:
-        """All states of the newest world, estimated together; None without an estimate.
-
-        Its first camera is the origin, so the frame may differ from that of `newest`.
-        """
+        """All states of the newest world, in the frame of its first camera; None without any."""
         if self._estimate is None:
             return None
         biases = self._estimate.states
@@ -225,7 +224,7 @@ class InertialChain:
             self._preintegrate(row, biases.gyro_bias[-1], biases.accel_bias[-1])
         states = placed_at_origin(self._whole_history(), self._imu_from_cam)
         prior = self._first_prior(states)
-        estimate = estimate_states(states, self._steps(self._origin, count), prior, self._noise)
+        estimate = weighed_states(states, self._steps(self._origin, count), prior, self._noise)
         return self._solved(self._origin, estimate)
 
     def _initialise(self) -> KeyframeStates | None:

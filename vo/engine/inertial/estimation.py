@@ -7,7 +7,7 @@ scale may drift from keyframe to keyframe.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,9 @@ _STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.001, 1e-4, 0.0015
 QUICK_RAD_S = 1.75  # a single camera that turns faster sees landmarks too shortly for a scale
 _TURN_LOG_SCALE = 0.007  # from one keyframe to the next in such a turn
 _METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
+# Misfit where all covariances are right: 15 residuals of a step determine 9 unknowns. Those that
+# windows of one camera state are up to 8 times too large.
+_RIGHT_MISFIT, _LEAST_VARIANCE = 0.63, 0.125
 _HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
 _CONVERGED = 0.01  # largest step, in standard deviations
@@ -80,6 +83,7 @@ class Estimate:
     has_converged: bool  # whether the iterations ended by themselves
     reduced: Floats  # (n, WIDTH, WIDTH) information on each state by what was measured before it
     reduced_gradient: Floats  # (n, WIDTH) the same of the gradient, at the states
+    variance: float = 1.0  # of the steps that it was made with
 
     def prior_of(self, row: int) -> Prior:
         """What the states before one say about it, for a chain that begins there."""
@@ -164,7 +168,23 @@ def estimate_states(
         largest < last_step**2,
         solution.reduced,
         gradient,
+        steps.variance,
     )
+
+
+def weighed_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) -> Estimate:
+    """Most probable states where the covariances of one camera's motions follow the residuals.
+
+    Source: Helmert's estimation of variance components, in steps of 2.
+    """
+    estimate = estimate_states(states, steps, prior, noise)
+    while not steps.is_metric and estimate.variance > _LEAST_VARIANCE:
+        steps = replace(steps, variance=0.5 * estimate.variance)
+        found = estimate_states(estimate.states, steps, prior, noise)
+        if found.misfit > _RIGHT_MISFIT:
+            break
+        estimate = found
+    return estimate
 
 
 class ChainProblem:
@@ -198,11 +218,13 @@ class ChainProblem:
         covariance, drift = steps.covariance, np.zeros(len(steps.covariance))
         if not steps.is_metric:
             covariance, drift = without_scale(steps)
+            covariance = steps.variance * covariance
         covariance = _visual_covariance(steps, covariance)[self.visual_rows]
         self.visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
         turned_rad = np.linalg.norm(so3.log(steps.visual[:, :3, :3]), axis=1)
+        drift = steps.variance * (steps.variance * _STEP_LOG_SCALE**2 + drift)
         drift[turned_rad > QUICK_RAD_S * steps.duration_s] += _TURN_LOG_SCALE**2
-        self._sigma_scale = np.sqrt(_STEP_LOG_SCALE**2 + drift)
+        self._sigma_scale = np.sqrt(drift)
 
     def normal_equations(self, states: States) -> Equations:
         """Normal equations of a step from these states."""

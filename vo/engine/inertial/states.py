@@ -84,6 +84,7 @@ class Steps:
     is_visual: Bools  # (n,) whether both keyframes are of one segment
     is_metric: bool  # whether the unit of the map is the metre
     imu_from_cam: Floats  # (4, 4)
+    variance: float = 1.0  # factor of `covariance`, and of the drift of the scale
 
 
 def predicted_motion(last: States, measured: Preintegrated) -> tuple[Floats, Floats, Floats]:
