@@ -79,7 +79,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.runs": (
         {"inertial_checks", "interrupts", "pose_log", "progress", "scaling"},
         {"run_options", "run_scale", "run_summary"},
-        {"run_session"},
+        {"camera_estimation", "run_session"},
         {"run_recording"},
         {"batch"},
     ),

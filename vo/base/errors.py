@@ -31,6 +31,10 @@ class CalibrationError(VoError):
     """A calibration is missing or invalid."""
 
 
+class NoCalibration(CalibrationError):
+    """A recording of one camera has no calibration, which its images may show."""
+
+
 class ModelError(VoError):
     """A file of learned weights is missing, damaged or of another kind."""
 

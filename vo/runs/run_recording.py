@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 
 from vo.base.config import Config, dump_config
-from vo.base.errors import CalibrationError, ConfigError, SourceError, VoError
+from vo.base.errors import CalibrationError, ConfigError, NoCalibration, SourceError, VoError
 from vo.base.extras import require
 from vo.base.images.image_areas import split_cameras
+from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.engine.odometry import Odometry
 from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
 from vo.outputs.recorders.recorder import NullRecorder, Recorder
-from vo.outputs.results.folder import RESULTS, RunFolder, RunSpace
+from vo.outputs.results.folder import CAMERA, RESULTS, RunFolder, RunSpace
 from vo.outputs.results.output_paths import (
     locked_folder,
     refuse_to_collide,
@@ -29,6 +30,7 @@ from vo.outputs.results.output_paths import (
 )
 from vo.outputs.results.summary import Summary
 from vo.outputs.streaming.streams import PoseStreams, opened_streams
+from vo.recordings.formats.calibration import write_calibration
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
@@ -77,10 +79,10 @@ def run(
     options = RunOptions.of(given)
     _check_outputs(source, output, config, options)
     with collected_warnings(are_shown=True) as warnings:
-        stream = _open(source, config, options)
+        stream, camera = _open_or_estimate(source, config, options)
         _check_readout(stream, config)
         opened, components = _with_imu(_opened(source, stream, config, options))
-    opened = replace(opened, warnings=tuple(warnings))
+    opened = replace(opened, warnings=tuple(warnings), estimated_camera=camera)
     with (
         _disconnected_at_end(stream),
         opened_streams(options.poses, options.allow_origins) as poses,
@@ -94,7 +96,9 @@ def run(
             options = replace(options, optimizer_process=None)
             unused = replace(found.use, states=None, first_frame=None, metric_worlds=())
             again = _opened(source, stream, config, options)
-            opened = replace(again, unused_imu=unused, warnings=opened.warnings)
+            opened = replace(
+                again, unused_imu=unused, warnings=opened.warnings, estimated_camera=camera
+            )
             return _run(opened, output, components._replace(inertial_sensor=None), poses)
 
 
@@ -118,6 +122,9 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
             recorder.begin(name, stream.rig, stream.ground_truth)
             # Last: it clears an earlier run.
             folder = RunFolder(Path(output), dump_config(config), space)
+            if opened.estimated_camera is not None:
+                comment = f"estimated from the images: {opened.estimated_camera.in_words}"
+                write_calibration(folder.path / CAMERA, stream.rig, [comment])
             return RunSession(opened, odometry, folder, recorder, poses).run(frames)
 
 
@@ -173,6 +180,20 @@ def _check_readout(stream: FrameStream, config: Config) -> None:
             f"{name} is {readout_s:g} s, but frames are {interval_s:.3g} s apart; give the time "
             "from the first to the last row of an image, or 0 for a global shutter"
         )
+
+
+def _open_or_estimate(
+    source: str | Path | FrameStream, config: Config, options: RunOptions
+) -> tuple[FrameStream, EstimatedCamera | None]:
+    """The stream, and its camera if that had to be estimated from its images."""
+    try:
+        return _open(source, config, options), None
+    except NoCalibration as missing:
+        if options.mode == "stereo" or options.follow or options.side_by_side:
+            raise
+        from vo.runs.camera_estimation import open_estimated
+
+        return open_estimated(str(source), config, options, missing)
 
 
 def _open(source: str | Path | FrameStream, config: Config, options: RunOptions) -> FrameStream:

@@ -12,6 +12,7 @@ from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
 from vo.base.option_names import with_flags
 from vo.base.printable import one_line
+from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Estimate, Frame, Trajectory
@@ -53,6 +54,7 @@ class OpenedRun:
         scale: what measures the scale of a mono path, and places it on the globe.
         unused_imu: the inertial sensor, if it cannot be used.
         warnings: those of opening.
+        estimated_camera: the camera, if there is no calibration.
     """
 
     stream: FrameStream
@@ -63,6 +65,7 @@ class OpenedRun:
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
     warnings: tuple[LoggedWarning, ...] = ()
+    estimated_camera: EstimatedCamera | None = None
 
     def facts(self) -> RunFacts:
         """Facts about the run; a stream without length has no known number of frames."""
@@ -91,6 +94,7 @@ class OpenedRun:
                 for each in self.warnings
                 if rig.is_stereo or each.kind != "large_baseline"
             ),
+            estimated_camera=self.estimated_camera,
         )
 
     def with_public_name(self, text: str) -> str:

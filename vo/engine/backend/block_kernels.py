@@ -128,7 +128,7 @@ def _differentiate(  # type: ignore[no-untyped-def]
     `by_rest` (derivatives by the calibration residual), `error` e; and of the point `normal` B^T B
     and `right` B^T e. Observations from behind the camera are 0.
     """
-    _, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
+    _, keyframe, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber, k1, k2 = views
     p0, p1, p2 = points[m, 0], points[m, 1], points[m, 2]
     n00 = n01 = n02 = n11 = n12 = n22 = 0.0
     r0 = r1 = r2 = 0.0
@@ -161,10 +161,26 @@ def _differentiate(  # type: ignore[no-untyped-def]
             by_rest[ju + 2], by_rest[jv + 2] = s * fx * x * square, s * intrinsics.fy * y * square
             by_rest[jd + 2] = t * fx * (x * square - right_x * (right_x * right_x + y * y))
         else:  # at the predicted pixel, because noise of the measured one would not average out
-            stretch = s * (x * x + y * y)
+            square = x * x + y * y
+            # How recorded radii become ideal ones: derivative, and ratio; 1 without distortion.
+            along = 1.0 / (1.0 + square * (3.0 * k1 + 5.0 * k2 * square))
+            across = 1.0 / (1.0 + square * (k1 + k2 * square))
+            stretch = s * square * along
             by_rest[ju], by_rest[jv] = stretch * intrinsics.fx * x, stretch * intrinsics.fy * y
-            square = x * x + y * y  # the next power of the radius, see `CalibrationResidual.bend`
+            # The next power of the radius, see `CalibrationResidual.bend`.
             by_rest[ju + 1], by_rest[jv + 1] = square * by_rest[ju], square * by_rest[jv]
+            # The logarithm of the focal length, and the principal point, see `lens_adjustment`.
+            longer = s * along / across
+            by_rest[ju + 2], by_rest[jv + 2] = (
+                longer * intrinsics.fx * x,
+                longer * intrinsics.fy * y,
+            )
+            turned = s * (along - across) / square if square > 0.0 else 0.0
+            by_rest[ju + 3], by_rest[jv + 4] = (
+                s * across + turned * x * x,
+                s * across + turned * y * y,
+            )
+            by_rest[jv + 3] = by_rest[ju + 4] = turned * x * y
         in_cam = point_derivatives(s * intrinsics.fx, s * intrinsics.fy, t * fb, x, y, 1.0, near)
         by_u, by_v, by_d = by_world_from_cam(in_cam, x * z, y * z, z)
         by_pose[ju], by_pose[ju + 1], by_pose[ju + 2] = by_u[0], by_u[1], by_u[2]

@@ -38,6 +38,8 @@ class PointViews(NamedTuple):
         focal_baseline: fx * baseline in px m, 0 in mono.
         inverse_sigma_disparity: 1 over the standard deviation of a disparity.
         huber: residual, in standard deviations, from which an observation is weighted down.
+        k1: of the lens whose ideal pixels `xy` are, where errors of the lens are estimated.
+        k2: likewise.
     """
 
     starts: Ints
@@ -49,6 +51,8 @@ class PointViews(NamedTuple):
     focal_baseline: float
     inverse_sigma_disparity: float
     huber: float
+    k1: float = 0.0
+    k2: float = 0.0
 
 
 def point_views(
@@ -176,7 +180,7 @@ def _point_normal(at, first, last, poses, views):  # type: ignore[no-untyped-def
     Huber's rho and w. The matrix is returned as xx, yy, zz, xy, xz, yz. Scalars throughout, which
     stay in registers. The cost is infinite if the point is behind one of the cameras.
     """
-    _, camera, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber = views
+    _, camera, xy, disparity, inverse_sigma, intrinsics, fb, inverse_d, huber, _, _ = views
     cost = 0.0
     n00 = n11 = n22 = n10 = n20 = n21 = 0.0
     r0 = r1 = r2 = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 from vo.base.failures import Failure
 from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation, are_doubtful
+from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.records.metric_scale import (
     MetricScale,
@@ -85,6 +86,7 @@ class RunFacts:
     topics: tuple[str, ...] = ()
     right_offset_ns: int | None = None
     opening_warnings: tuple[LoggedWarning, ...] = ()
+    estimated_camera: EstimatedCamera | None = None
 
 
 class Segment(NamedTuple):

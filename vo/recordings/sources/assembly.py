@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.base.errors import CalibrationError, SourceError, VoError
+from vo.base.errors import CalibrationError, NoCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
 from vo.base.types import Camera, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import (
@@ -78,7 +78,12 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     warn_of_turned(contents.name, contents.left)
     if contents.right is None:
         warn_of_halves(contents.name, first)
-    calibration = contents.calibrate(size)
+    try:
+        calibration = contents.calibrate(size)
+    except NoCalibration as error:
+        if contents.right is None or mode == "mono":
+            raise
+        raise CalibrationError(str(error)) from error
     size = _usual_size(contents.left, size, calibration.rig.cam0)
     _check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
@@ -127,7 +132,8 @@ def calibration_reader(
                 if found is None
                 else f"{found} is one: if it is that of these images, give `calibration={found}`"
             )
-            raise CalibrationError(f"no calibration found; looked for {looked_for}; {advice}")
+            kind = NoCalibration if found is None else CalibrationError
+            raise kind(f"no calibration found; looked for {looked_for}; {advice}")
         return read_calibration(chosen or existing[0], size)
 
     return read

@@ -55,7 +55,13 @@ def with_findings(report: Report, opened: OpenedRecording, imu_warnings: Sequenc
 
 
 def _refusal_finding(opened: OpenedRecording) -> Iterator[Finding]:
-    if opened.refusal:
+    if opened.has_unknown_camera:
+        yield Finding(
+            "warning",
+            "no calibration found: vo run estimates focal length and distortion from the images",
+            "a calibration is better: `calibration=FILE` (format: docs/calibration.md)",
+        )
+    elif opened.refusal:
         yield Finding("error", opened.refusal.splitlines()[0])
 
 
@@ -193,6 +199,8 @@ def _run_command(report: Report, opened: OpenedRecording) -> str:
     if not opened.roles_known and len(report.cameras) > 1:
         options += ["--topic", f"left={report.cameras[0].name}"]
         options += ["--topic", f"right={report.cameras[1].name}"]
+    if opened.has_unknown_camera:
+        return shlex.join(["vo", "run", str(path), "-o", _output_of(path), *options])
     if opened.rig is None and "--calibration" not in options:
         options += ["--calibration", "camera.yaml"]
     elif report.stereo is not None and report.stereo.time_offset_ms is not None:

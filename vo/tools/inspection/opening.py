@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.base.errors import SourceError, VoError
+from vo.base.errors import NoCalibration, SourceError, VoError
 from vo.base.types import Camera, Ints, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize
 from vo.recordings.formats.warning_kinds import LoggedWarning, collected_warnings
@@ -55,6 +55,7 @@ class OpenedRecording:
     truth: Trajectory | None = None
     pose_names: tuple[str, ...] = ()  # topics with poses of a log, and pairs of frames that move
     refusal: str = ""  # the error message of `vo run`; empty if there is none
+    has_unknown_camera: bool = False  # whether `vo run` estimates it, instead of that refusal
     warnings: tuple[LoggedWarning, ...] = ()
     options: tuple[str, ...] = ()  # the options that chose how it is read, as words of a command
     close: Callable[[], None] = field(default=lambda: None)
@@ -144,6 +145,7 @@ def _open_files(
             truth=_truth_alone(listed),
             imus=tuple(listed.find_imus(None)),
             refusal=str(error),
+            has_unknown_camera=isinstance(error, NoCalibration),
         )
     return replace(
         found,

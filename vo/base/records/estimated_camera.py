@@ -1,0 +1,32 @@
+"""Record of a camera that was estimated from the images of a recording."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+_MAX_RELATIVE_SIGMA = 0.03  # of the focal length, above which a path is not to be trusted
+
+
+class EstimatedCamera(NamedTuple):
+    """Focal length and its standard deviation, principal point, and `radtan` coefficients."""
+
+    focal_px: float
+    sigma_px: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    frames: int
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether the motion has hardly shown it."""
+        return self.sigma_px > _MAX_RELATIVE_SIGMA * self.focal_px
+
+    @property
+    def in_words(self) -> str:
+        """For people, and for comments."""
+        return (
+            f"focal length {self.focal_px:.1f} ± {self.sigma_px:.1f} px, principal point "
+            f"({self.cx:.1f}, {self.cy:.1f}), k1 {self.k1:+.4f}, k2 {self.k2:+.4f}"
+        )

@@ -1,0 +1,263 @@
+"""Bundle adjustment of all keyframes of one camera together with its lens.
+
+The states are all poses, the focal length and two radial coefficients; landmarks are eliminated as
+in windows. Residuals are those of ideal pixels, weighed as in recorded ones: undistorting stretches
+the edges of the image, and a lens must not seem better because it stretches less.
+
+Source: Triggs et al., "Bundle Adjustment: A Modern Synthesis", 2000, sec. 6.1 and 9 (gauge).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import SmoothingConfig
+from vo.base.geometry.projection import Intrinsics
+from vo.base.geometry.quantiles import median
+from vo.base.geometry.transforms import inverse, make_transform
+from vo.base.types import Bools, Floats, Ints
+from vo.engine.backend import block_kernels
+from vo.engine.backend.bundle import Bundle, views_of
+from vo.engine.backend.residuals import residuals, with_measured_noise
+from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.geometry import so3
+
+_SIGMA_PX = 0.5  # of a pixel, before residuals are known
+_ROUNDS, _STEPS = 2, 40  # in the second round pixels are weighed by their residuals
+_CONVERGED = 1e-5  # relative decrease of the cost
+_FIRST_DAMPING, _DAMPING_FACTOR, _MAX_DAMPING = 1e-3, 8.0, 1e4
+_MAX_LOG_FOCAL = 0.2  # step of the logarithm of the focal length
+# Of real lenses k2 is some 1.2 times the square of k1: as an unknown of its own it would take the
+# place of the focal length where the scene is far away or nearly plane.
+_K1_SIGMA, _K2_RATIO, _K2_SPREAD, _K2_SIGMA = 0.5, 1.2, 0.35, 2e-4
+_MIN_SLOPE = 0.15  # of the distorted radius, below which a lens cannot be undone
+_HARDLY = 1e3  # factor on the standard deviation of pixels there
+_CENTRE_SIGMA = 0.01  # of the principal point, in image widths
+
+# Columns of `block_kernels.reduced` after the poses: k1, k2, log focal length, principal point.
+_COLUMNS, _LOG_FOCAL = 6, 2
+FROM_A_GUESS, WITH_CENTRE, IDEAL = (0, 1, 2), (0, 1, 2, 3, 4), (2, 3, 4)
+"""What of a lens is adjusted; an ideal one has no distortion."""
+
+
+class Lens(NamedTuple):
+    """A lens: the pixels of ideal points x are centre + focal x (1 + k1 r^2 + k2 r^4)."""
+
+    focal: float
+    cx: float
+    cy: float
+    k1: float = 0.0
+    k2: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class KeyframeViews:
+    """Observations of keyframes.
+
+    Attributes:
+        middle: (2,) of the image, where the principal point probably is.
+        world_from_cam: (K, 4, 4) first guess.
+        points: (M, 3) first guess.
+        keyframe: (N,) row in world_from_cam of each observation.
+        point: (N,) row in points.
+        xy: (N, 2) pixels as recorded.
+    """
+
+    middle: Floats
+    world_from_cam: Floats
+    points: Floats
+    keyframe: Ints
+    point: Ints
+    xy: Floats
+
+    def part(self, first: int, last: int) -> KeyframeViews:
+        """Keyframes of these rows alone, and the points that two of them observe."""
+        inside = (self.keyframe >= first) & (self.keyframe < last)
+        seen = np.bincount(self.point[inside], minlength=len(self.points))
+        kept = inside & (seen > 1)[self.point]
+        points, point = np.unique(self.point[kept], return_inverse=True)
+        return replace(
+            self,
+            world_from_cam=self.world_from_cam[first:last],
+            points=self.points[points],
+            keyframe=self.keyframe[kept] - first,
+            point=point,
+            xy=self.xy[kept],
+        )
+
+
+class AdjustedLens(NamedTuple):
+    """The lens, and all keyframes at it.
+
+    Attributes:
+        residual_px: median, in recorded pixels.
+        relative_sigma: standard deviation of the focal length, relative to it, if pixels err as
+            assumed.
+    """
+
+    lens: Lens
+    views: KeyframeViews
+    residual_px: float = 0.0
+    relative_sigma: float = np.inf
+
+
+def adjust_lens(
+    views: KeyframeViews, lens: Lens, config: SmoothingConfig, columns: tuple[int, ...]
+) -> AdjustedLens:
+    """The most probable lens and poses; `columns` of the lens are estimated.
+
+    Raises:
+        numpy.linalg.LinAlgError: the observations do not determine them.
+    """
+    poses, unit = views.world_from_cam.copy(), _extent(views.world_from_cam)
+    if not unit > 0.0:
+        raise np.linalg.LinAlgError("the camera did not move")
+    poses[:, :3, 3] /= unit
+    at = AdjustedLens(lens, replace(views, world_from_cam=poses, points=views.points / unit))
+    sigma = np.full(len(views.xy), _SIGMA_PX)
+    plain = config.model_copy(update={"huber": 1.0})
+    for number in range(_ROUNDS):
+        if number > 0:
+            problem = _problem(at, sigma)
+            sigma = sigma * with_measured_noise(problem).sigma_px / problem.sigma_px
+        at = _converged(at, sigma, plain if number == 0 else config, columns)
+    problem = _problem(at, np.ones(len(sigma)))
+    found, depth = residuals(problem, at.views.world_from_cam, at.views.points)
+    hessian, _ = _chosen(_normal_equations(at, _problem(at, sigma), config), columns)
+    column = columns.index(_LOG_FOCAL) - len(columns)
+    variance = float(np.linalg.inv(hessian)[column, column])
+    relative = float(np.sqrt(variance)) if variance > 0.0 else np.inf
+    return at._replace(residual_px=median(found[depth > 0.0]), relative_sigma=relative)
+
+
+def _converged(
+    at: AdjustedLens, sigma: Floats, config: SmoothingConfig, columns: tuple[int, ...]
+) -> AdjustedLens:
+    """Iterate by Levenberg and Marquardt, with constant weights of observations."""
+    damping = _FIRST_DAMPING
+    for _ in range(_STEPS):
+        problem = _problem(at, sigma)
+        bundle = Bundle(problem, _all_ok(at.views), config)
+        cost = bundle.cost(at.views.world_from_cam)
+        points = bundle.points_for(at.views.world_from_cam)
+        at = at._replace(views=replace(at.views, points=points))
+        hessian, gradient = _chosen(_normal_equations(at, problem, config), columns)
+        while True:
+            damped = hessian + damping * np.diag(np.diag(hessian))
+            step = np.asarray(-np.linalg.solve(damped, gradient))
+            trial = _moved(
+                at, step[: -len(columns)], dict(zip(columns, step[-len(columns) :], strict=True))
+            )
+            again = Bundle(_problem(trial, sigma), _all_ok(at.views), config)
+            trial_cost = again.cost(trial.views.world_from_cam)
+            if trial_cost < cost:
+                break
+            damping *= _DAMPING_FACTOR
+            if not damping < _MAX_DAMPING:
+                return at
+        at, damping = trial, damping / _DAMPING_FACTOR
+        if cost - trial_cost < _CONVERGED * cost:
+            break
+    return at
+
+
+def _normal_equations(
+    at: AdjustedLens, problem: WindowProblem, config: SmoothingConfig
+) -> tuple[Floats, Floats]:
+    """Of all poses but the first, and the lens, with priors on the lens and on the extent."""
+    poses = at.views.world_from_cam
+    slot = np.arange(len(poses)) - 1
+    hessian, gradient = block_kernels.reduced(
+        at.views.points,
+        np.ascontiguousarray(inverse(poses)[:, :3]),
+        slot,
+        True,
+        views_of(problem, _all_ok(at.views), config)._replace(k1=at.lens.k1, k2=at.lens.k2),
+    )
+    size = 6 * (len(poses) - 1)
+    _, cx, cy, k1, k2 = at.lens
+    hessian[size, size] += _K1_SIGMA**-2
+    gradient[size] += k1 * _K1_SIGMA**-2
+    weight = (_K2_SPREAD * k1 * k1 + _K2_SIGMA) ** -2
+    by_lens = np.array([-2.0 * _K2_RATIO * k1, 1.0])
+    hessian[size : size + 2, size : size + 2] += weight * np.outer(by_lens, by_lens)
+    gradient[size : size + 2] += weight * by_lens * (k2 - _K2_RATIO * k1 * k1)
+    centre, weight = slice(size + 3, size + 5), (2.0 * _CENTRE_SIGMA * at.views.middle[0]) ** -2
+    hessian[centre, centre] += weight * np.eye(2)
+    gradient[centre] += weight * (np.array([cx, cy]) - at.views.middle)
+    away = poses[:, :3, 3] - poses[0, :3, 3]
+    far = int(np.argmax(np.linalg.norm(away, axis=1)))
+    along = poses[far, :3, :3].T @ away[far] / np.linalg.norm(away[far])
+    rows = slice(6 * (far - 1) + 3, 6 * far)
+    hessian[rows, rows] += 1e6 * np.outer(along, along)  # the extent stays 1
+    return hessian, gradient
+
+
+def _chosen(equations: tuple[Floats, Floats], columns: tuple[int, ...]) -> tuple[Floats, Floats]:
+    """Normal equations of all poses and these columns of the lens."""
+    hessian, gradient = equations
+    poses = len(gradient) - _COLUMNS
+    kept = np.r_[np.arange(poses), poses + np.array(columns)]
+    return hessian[np.ix_(kept, kept)], gradient[kept]
+
+
+def _moved(at: AdjustedLens, poses: Floats, by_column: Mapping[int, float]) -> AdjustedLens:
+    k1, k2, log_focal, cx, cy = (float(by_column.get(n, 0.0)) for n in WITH_CENTRE)
+    motion = np.stack(
+        [make_transform(so3.exp(p[None, :3])[0], p[3:]) for p in poses.reshape(-1, 6)]
+    )
+    world_from_cam = at.views.world_from_cam.copy()
+    world_from_cam[1:] = world_from_cam[1:] @ motion
+    focal = at.lens.focal * float(np.exp(np.clip(log_focal, -_MAX_LOG_FOCAL, _MAX_LOG_FOCAL)))
+    old = at.lens
+    lens = Lens(focal, old.cx + cx, old.cy + cy, old.k1 + k1, old.k2 + k2)
+    return at._replace(lens=lens, views=replace(at.views, world_from_cam=world_from_cam))
+
+
+def _problem(at: AdjustedLens, sigma: Floats) -> WindowProblem:
+    """The observations as ideal pixels of a lens; `sigma` (N,) is that of recorded pixels."""
+    lens, views = at.lens, at.views
+    xy, larger = _undistorted(views.xy, lens)
+    return WindowProblem(
+        Intrinsics(lens.focal, lens.focal, lens.cx, lens.cy),
+        0.0,
+        1.0,
+        views.world_from_cam,
+        np.arange(len(views.world_from_cam)) == 0,
+        views.points,
+        views.keyframe,
+        views.point,
+        xy,
+        np.full(len(xy), np.nan),
+        sigma * larger,
+    )
+
+
+def _undistorted(xy: Floats, lens: Lens) -> tuple[Floats, Floats]:
+    """Ideal pixels (N, 2), and how much larger they are there than recorded ones, (N,)."""
+    centre = np.array([lens.cx, lens.cy])
+    off = (xy - centre) / lens.focal
+    distorted = np.hypot(off[:, 0], off[:, 1])
+    radius = distorted.copy()
+    for _ in range(20):  # Newton
+        square = radius * radius
+        slope = np.maximum(1.0 + square * (3.0 * lens.k1 + 5.0 * lens.k2 * square), _MIN_SLOPE)
+        error = radius * (1.0 + square * (lens.k1 + lens.k2 * square)) - distorted
+        radius = np.clip(radius - error / slope, 0.0, 10.0)
+    stretch = np.where(distorted > 1e-9, radius / np.maximum(distorted, 1e-9), 1.0)
+    is_undone = (slope > _MIN_SLOPE) & (np.abs(error) < 1e-6)
+    larger = np.where(is_undone, np.sqrt(stretch / slope), _HARDLY)  # along and across the radius
+    return centre + lens.focal * off * stretch[:, None], larger
+
+
+def _all_ok(views: KeyframeViews) -> Bools:
+    return np.ones(len(views.points), dtype=bool)
+
+
+def _extent(poses: Floats) -> float:
+    """The largest distance of a camera from the first one."""
+    return float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max())

@@ -1,0 +1,254 @@
+"""A camera without calibration: its focal length and distortion from the images of a recording.
+
+The odometry runs over the beginning of the recording with several guesses, and the keyframes of
+each are adjusted together with the lens. From the guess that explains the images best, odometry
+and adjustment follow each other over more frames until the lens stays as it is.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import Config
+from vo.base.errors import CalibrationError, NoCalibration
+from vo.base.records.estimated_camera import EstimatedCamera
+from vo.base.types import Camera, Floats, Frame, KeyframePose, Rig, Sightings
+from vo.engine.backend.lens_adjustment import (
+    FROM_A_GUESS,
+    IDEAL,
+    WITH_CENTRE,
+    AdjustedLens,
+    KeyframeViews,
+    Lens,
+    adjust_lens,
+)
+from vo.engine.odometry import Odometry
+from vo.recordings.formats.calibration import write_calibration
+from vo.recordings.formats.warning_kinds import warning_kind
+from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.source import Recording
+from vo.recordings.sources.uncalibrated import open_uncalibrated
+from vo.runs.run_options import RunOptions
+
+_log = logging.getLogger(__name__)
+
+_FIELDS_DEG, _GUESSED_K1 = (50.0, 65.0, 80.0, 100.0), (0.0, -0.25)  # guesses: across the image, k1
+_FIRST_FRAMES, _FRAMES = 100, 300
+_MIN_KEYFRAMES, _MIN_OBSERVATIONS, _MIN_VIEWS = 4, 200, 3
+_MAX_KEYFRAMES = 150
+_MIN_TRACKED = 0.85  # of the frames that the best guess has tracked
+_WIDTHS = (0.25, 2.5)  # focal lengths in image widths that cameras have
+_IDEAL_K1 = 0.008  # below it a lens, as of rectified images, is not told from an ideal one
+_PASSES, _CONVERGED = 4, 0.004  # change of the focal length
+# Standard deviation of the focal length: of twelve recordings, and by parts of this one.
+_PARTS, _SYSTEMATIC, _PER_PART = 3, 0.008, 0.6
+
+
+class _Tracked(NamedTuple):
+    frames: int
+    views: KeyframeViews
+
+
+def open_estimated(
+    source: Path | str, config: Config, options: RunOptions, missing: NoCalibration
+) -> tuple[Recording, EstimatedCamera]:
+    """Open a recording of one camera whose calibration is missing.
+
+    Raises:
+        CalibrationError: the images do not show the lens either.
+    """
+    _log.warning("%s: no calibration: focal length and distortion are estimated first", source)
+    opening = {"format": options.format, "topics": options.topics}
+    stream = open_uncalibrated(source, mode="mono", **opening)  # type: ignore[arg-type]
+    camera, found = estimate_camera(stream, config, options, missing)
+    with tempfile.TemporaryDirectory(prefix="vo-") as folder:
+        file = Path(folder, "calibration.yaml")
+        write_calibration(file, Rig(camera))
+        opened = open_source(source, calibration=file, mode="mono", **opening)  # type: ignore[arg-type]
+    if found.is_uncertain:
+        _log.warning(
+            "the camera was estimated without a calibration, and its motion hardly shows the focal "
+            "length (%s): angles and the shape of the path may be wrong; give `calibration=FILE`",
+            found.in_words,
+            extra=warning_kind("calibration"),
+        )
+    else:
+        _log.warning(
+            "the camera was estimated without a calibration: %s; lengths and turns of the path are "
+            "as good as these, and a calibration is better: vo calibrate",
+            found.in_words,
+        )
+    return opened, found
+
+
+def estimate_camera(
+    stream: Recording, config: Config, options: RunOptions, missing: NoCalibration
+) -> tuple[Camera, EstimatedCamera]:
+    """The camera of a recording, with equal focal lengths along both axes.
+
+    Raises:
+        CalibrationError: no guess leads to a path with parallax.
+    """
+    search = _Search(stream, config, options)
+    best = search.best_guess()
+    if best is None:
+        raise CalibrationError(
+            f"{missing}; it cannot be estimated from the images: none of the usual fields of view "
+            f"leads to a path in the first {_FIRST_FRAMES} frames (an estimate needs a camera that "
+            "moves, not only turns, and texture)"
+        )
+    adjusted, used = search.converged(best.lens)
+    deviation = [p.lens.focal / adjusted.lens.focal - 1.0 for p in search.parts(adjusted)]
+    spread = _PER_PART * float(np.sqrt(np.mean(np.square(deviation)))) if deviation else 1.0
+    lens = Lens(*(round(float(value), 6) + 0.0 for value in adjusted.lens))
+    sigma = lens.focal * float(np.linalg.norm([_SYSTEMATIC, spread, adjusted.relative_sigma]))
+    found = EstimatedCamera(lens.focal, round(sigma, 3), *lens[1:], used)
+    return search.camera(lens), found
+
+
+class _Search:
+    def __init__(self, stream: Recording, config: Config, options: RunOptions) -> None:
+        self._stream, self._options = stream, options
+        self._size = stream.rig.cam0.width, stream.rig.cam0.height
+        self._middle = (np.array(self._size) - 1.0) / 2.0
+        off = {"lens_correction": False}, {"loops": False, "map": "", "localize": False}
+        self._config = config.model_copy(
+            update={
+                "refinement": config.refinement.model_copy(update=off[0]),
+                "memory": config.memory.model_copy(update=off[1]),
+            }
+        )
+
+    def camera(self, lens: Lens) -> Camera:
+        """The camera with a lens, in OpenCV's model."""
+        focal, cx, cy, k1, k2 = lens
+        if k1 == k2 == 0.0:
+            return Camera(*self._size, focal, focal, cx, cy)
+        return Camera(*self._size, focal, focal, cx, cy, "radtan", (k1, k2, 0.0, 0.0))
+
+    def best_guess(self) -> AdjustedLens | None:
+        """The adjusted guess with the smallest residuals, of those that track most frames."""
+        width, found = self._size[0], []
+        for field in _FIELDS_DEG:
+            for k1 in _GUESSED_K1:
+                focal = 0.5 * width / float(np.tan(np.radians(field / 2.0)))
+                cx, cy = self._middle.tolist()
+                lens = Lens(focal, cx, cy, k1, 1.2 * k1 * k1)
+                tracked = self._tracked(lens, _FIRST_FRAMES)
+                adjusted = (
+                    None if tracked is None else self._adjusted(tracked.views, lens, FROM_A_GUESS)
+                )
+                if tracked is None or adjusted is None:
+                    continue
+                _log.info("%.0f° across, k1 %.2f: %s, %.3f px", field, k1, *adjusted[::2])
+                if _WIDTHS[0] < adjusted.lens.focal / width < _WIDTHS[1]:
+                    found.append((tracked.frames, adjusted))
+        most = max((frames for frames, _ in found), default=0)
+        usable = [each for frames, each in found if frames >= _MIN_TRACKED * most]
+        return min(usable, key=lambda each: each.residual_px, default=None)
+
+    def converged(self, lens: Lens) -> tuple[AdjustedLens, int]:
+        """The lens once it stays as it is, and the number of frames that were tracked for it."""
+        adjusted, used = None, 0
+        for number in range(_PASSES):
+            tracked = self._tracked(lens, _FIRST_FRAMES if number == 0 else _FRAMES)
+            again = None
+            if tracked is not None:
+                again = self._adjusted(tracked.views, lens, WITH_CENTRE)
+            if tracked is None or again is None:
+                break
+            change = abs(again.lens.focal / lens.focal - 1.0)
+            adjusted, used, lens = again, tracked.frames, again.lens
+            _log.info("over %d frames: %s", used, lens)
+            if number > 0 and change < _CONVERGED:
+                break
+        if adjusted is None:
+            raise CalibrationError("the camera that was estimated from the first frames is wrong")
+        if abs(lens.k1) < _IDEAL_K1:
+            straight = lens._replace(k1=0.0, k2=0.0)
+            adjusted = self._adjusted(adjusted.views, straight, IDEAL) or adjusted
+        return adjusted, used
+
+    def parts(self, adjusted: AdjustedLens) -> Iterator[AdjustedLens]:
+        """The lens by each third of the keyframes alone."""
+        bounds = np.linspace(0, len(adjusted.views.world_from_cam), _PARTS + 1).astype(int)
+        columns = IDEAL if adjusted.lens.k1 == 0.0 else WITH_CENTRE
+        for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+            if last - first >= _MIN_KEYFRAMES:
+                views = adjusted.views.part(first, last)
+                part = self._adjusted(views, adjusted.lens, columns)
+                if part is not None:
+                    yield part
+
+    def _adjusted(
+        self, views: KeyframeViews, lens: Lens, columns: tuple[int, ...]
+    ) -> AdjustedLens | None:
+        if len(views.xy) < _MIN_OBSERVATIONS:
+            return None
+        try:
+            adjusted = adjust_lens(views, lens, self._config.smoothing, columns)
+        except np.linalg.LinAlgError:
+            return None
+        return adjusted if np.isfinite([*adjusted.lens, adjusted.residual_px]).all() else None
+
+    def _tracked(self, lens: Lens, count: int) -> _Tracked | None:
+        """Keyframes of the largest segment in the first frames, by the odometry with a lens."""
+        sightings: dict[int, Sightings] = {}
+        points: dict[int, Floats] = {}
+        poses: dict[int, KeyframePose] = {}
+        frames = 0
+        with closing(Odometry(Rig(self.camera(lens)), self._config)) as odometry:
+            for estimate in odometry.track_all(self._frames(count)):
+                frames += estimate.world_from_cam0 is not None
+                poses.update({each.frame_index: each for each in estimate.keyframes})
+                landmarks = odometry.snapshot().landmarks if estimate.keyframes else None
+                if landmarks is not None:
+                    sightings.update({each.frame_index: each for each in landmarks.sightings})
+                    points.update(zip(landmarks.ids.tolist(), landmarks.xyz, strict=True))
+        segments = Counter(poses[n].segment for n in sightings if n in poses)
+        if not segments:
+            return None
+        largest = segments.most_common(1)[0][0]
+        rows = [n for n in sorted(sightings) if n in poses and poses[n].segment == largest]
+        if len(rows) < _MIN_KEYFRAMES:
+            return None
+        views = _views(rows[:_MAX_KEYFRAMES], sightings, points, poses, self._middle)
+        return _Tracked(frames, views)
+
+    def _frames(self, count: int) -> Iterator[Frame]:
+        options = self._options
+        last = options.start + count * options.stride
+        end = last if options.end is None else min(last, options.end)
+        return iter(self._stream.frames(options.start, end, options.stride))
+
+
+def _views(
+    rows: list[int],
+    sightings: dict[int, Sightings],
+    points: dict[int, Floats],
+    poses: dict[int, KeyframePose],
+    middle: Floats,
+) -> KeyframeViews:
+    """Observations of the landmarks that three of these keyframes observe."""
+    keyframe = np.repeat(np.arange(len(rows)), [len(sightings[n].ids) for n in rows])
+    ids = np.concatenate([sightings[n].ids for n in rows])
+    xy = np.concatenate([sightings[n].xy for n in rows]).astype(np.float64)
+    known, point, seen = np.unique(ids, return_inverse=True, return_counts=True)
+    kept = (seen >= _MIN_VIEWS)[point] & np.array([n in points for n in known.tolist()])[point]
+    used, point = np.unique(ids[kept], return_inverse=True)
+    return KeyframeViews(
+        middle,
+        np.stack([poses[n].world_from_cam0 for n in rows]),
+        np.array([points[n] for n in used.tolist()]).reshape(-1, 3),
+        keyframe[kept],
+        point,
+        xy[kept],
+    )
