@@ -49,12 +49,10 @@ class OpenedRun:
         stream: its frames.
         path: its path, or the name of a stream.
         public_name: its name in summaries and messages.
-        config: all settings.
-        options: those of the run.
+        config: all settings; `options` are those of the run.
         scale: what measures the scale of a mono path, and places it on the globe.
         unused_imu: the inertial sensor, if it cannot be used.
         warnings: those of opening.
-        estimated_camera: the camera, if there is no calibration.
     """
 
     stream: FrameStream
@@ -65,7 +63,7 @@ class OpenedRun:
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
     warnings: tuple[LoggedWarning, ...] = ()
-    estimated_camera: EstimatedCamera | None = None
+    estimated_camera: EstimatedCamera | None = None  # without a calibration
 
     def facts(self) -> RunFacts:
         """Facts about the run; a stream without length has no known number of frames."""
