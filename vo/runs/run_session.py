@@ -52,7 +52,6 @@ class OpenedRun:
         config: all settings; `options` are those of the run.
         scale: what measures the scale of a mono path, and places it on the globe.
         unused_imu: the inertial sensor, if it cannot be used.
-        warnings: those of opening.
     """
 
     stream: FrameStream
@@ -62,7 +61,7 @@ class OpenedRun:
     options: RunOptions
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
-    warnings: tuple[LoggedWarning, ...] = ()
+    warnings: tuple[LoggedWarning, ...] = ()  # of opening
     estimated_camera: EstimatedCamera | None = None  # without a calibration
 
     def facts(self) -> RunFacts:
