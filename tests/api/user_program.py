@@ -24,7 +24,7 @@ def commands(folder: Path) -> None:
         mask=folder / "body.png",
         ignore=["0,0,9,9"],
         markers=0.16,
-        scale_from="gps.nmea",
+        gps="gps.nmea",
         georeference=True,
         lever_arm=(0.0, 0.1, 0.2),
         imu=False,

@@ -51,6 +51,7 @@ class RunWords(TypedDict, total=False):
     vocabulary: str | Path | None
     map: str | Path | None
     localize: bool
+    gps: str | Path | None
     scale_from: str | Path | None
     scale_offset: float
     lever_arm: Sequence[float] | None
@@ -88,6 +89,7 @@ _SETTINGS = {
     "roi": "masks.roi",
 }
 _IN_SCALE = {
+    "gps": "gps",
     "scale_from": "positions",
     "scale_offset": "offset_ns",
     "lever_arm": "lever_arm_m",
@@ -139,8 +141,9 @@ def _scale(words: dict[str, Any]) -> dict[str, Any]:
     fields = {_IN_SCALE[name]: value for name, value in words.items()}
     if "offset_ns" in fields:
         fields["offset_ns"] = round(1e9 * fields["offset_ns"])
-    if fields.get("positions") is not None:
-        fields["positions"] = str(fields["positions"])
+    for name in ("gps", "positions"):
+        if fields.get(name) is not None:
+            fields[name] = str(fields[name])
     arm = fields.get("lever_arm_m")
     if arm is not None:
         if len(arm) != 3:
