@@ -12,11 +12,11 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
+from vo.api.report_entries import read_entries
 from vo.base.config import load_config
 from vo.base.errors import ConfigError, VoError
 from vo.base.geometry.rectification import rectified_rig
 from vo.cli.app import app
-from vo.cli.report import _entries
 from vo.engine.maps.map_file import MapFile
 from vo.engine.places.vocabulary_file import read_vocabulary
 from vo.outputs.report.page import make_page
@@ -77,7 +77,7 @@ def _report(path: Path, number: int) -> None:
     if number % 10 == 1:
         _command("report", str(path), "-o", str(path / "report.html"))
         return
-    make_page(_entries([path], None, number % 2 == 0), [])
+    make_page(read_entries([path], None, number % 2 == 0), [])
 
 
 def _config(path: Path, number: int) -> None:

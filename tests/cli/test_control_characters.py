@@ -142,7 +142,7 @@ def test_everything_is_printed_in_one_place(folder: Path) -> None:
     root = Path(__file__).resolve().parents[2]
     direct = re.compile(r"typer\.echo\(|click\.echo\(|(?<![\w.])print\(|(?<!Safe)Console\(")
     for file in sorted((root / folder).rglob("*.py")):
-        if file.name not in ("echo.py", "console.py"):
+        if file.name not in ("echo.py", "console.py", "heartbeat.py"):  # all use `printable`
             assert not direct.search(file.read_text("utf-8")), file
 
 

@@ -55,7 +55,7 @@ def render_command(
     on: str | None = option(
         "On a marker of the run (--markers), its underside in the plane of the marker.",
         default=None,
-        metavar="marker:ID",
+        metavar="MARKER:ID",
         panel=_PLACE,
     ),
     size: float | None = option(

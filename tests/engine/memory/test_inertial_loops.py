@@ -100,11 +100,11 @@ def test_without_a_place_seen_again_the_results_have_the_same_bytes(
         assert (tmp_path / "on" / name).read_bytes() == (tmp_path / "off" / name).read_bytes()
 
 
-@pytest.mark.parametrize(("first", "last"), [(22, 124), (70, 110)])
+@pytest.mark.parametrize(("first", "last"), [(22, 124), (62, 118)])
 def test_segments_that_are_merged_have_one_scale_and_one_vertical(
     first: int, last: int, rounds: Path, tmp_path: Path
 ) -> None:
-    """The lens is covered for 4 s, or from before the first states to the second round."""
+    """The lens is covered for 5.6 s, or from before the first states to the second round."""
     recording = tmp_path / "room"
     shutil.copytree(rounds, recording)
     for image in sorted((recording / "mav0/cam0/data").glob("*.png"))[first:last]:

@@ -183,7 +183,7 @@ def test_the_picture_shows_both_images_and_their_matches(tmp_path: Path) -> None
         assert drawn is not None and drawn.shape == (240, 648, 3)
     plain = cv2.imread(str(tmp_path / "plain.png"))
     assert plain is not None
-    assert (plain == (80, 220, 60)).all(axis=2).sum() > 1000  # inliers in green
+    assert (plain == (233, 180, 86)).all(axis=2).sum() > 1000  # inliers in blue
     with pytest.raises(OutputError, match=r"\.png"):
         write_pair_picture(tmp_path / "x.tiff", images, pair)
     with pytest.raises(OutputError, match="cannot be written"):

@@ -16,6 +16,7 @@ from vo.recordings.sources.images import ImageFile, Pixels
 
 _log = logging.getLogger(__name__)
 _SAMPLES = 5
+_MIN_SIDE = 32  # pixels of images that have features
 _WIDTH = 480
 _FEATURES = 500
 _MAX_DISTANCE = 48  # bits
@@ -138,6 +139,8 @@ def _features(path: Path) -> _Features:
 
 def _features_of(image: Pixels) -> _Features:
     """Pixels (N, 2) and descriptors in a small copy of an image."""
+    if min(image.shape[:2]) < _MIN_SIDE:
+        return np.empty((0, 2)), None
     if image.dtype != np.uint8:
         image = cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U).astype(np.uint8)
     scale = min(1.0, _WIDTH / image.shape[1])
