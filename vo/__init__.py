@@ -49,7 +49,9 @@ if TYPE_CHECKING:
         Camera,
         Estimate,
         Frame,
+        ImuNoise,
         KeyframePose,
+        PredictedPose,
         Rig,
         Snapshot,
         State,
@@ -59,7 +61,12 @@ if TYPE_CHECKING:
     from vo.outputs.evaluation.evaluation import Evaluation
     from vo.outputs.recorders.exports import Exports
     from vo.outputs.results.summary import Summary
-    from vo.recordings.formats.calibration import Calibration, read_calibration, write_calibration
+    from vo.recordings.formats.calibration import (
+        Calibration,
+        ImuCalibration,
+        read_calibration,
+        write_calibration,
+    )
     from vo.recordings.formats.trajectory import read_trajectory
     from vo.recordings.formats.trajectory import write_tum as write_trajectory
     from vo.recordings.sources.registry import open_source as open
@@ -88,6 +95,8 @@ _DEFINED_IN = {
     "FoundObject": "vo.tools.objects.stored_objects:FoundObject",
     "Frame": "vo.base.types:Frame",
     "FrameStream": "vo.recordings.sources.source:FrameStream",
+    "ImuCalibration": "vo.recordings.formats.calibration:ImuCalibration",
+    "ImuNoise": "vo.base.types:ImuNoise",
     "InputError": "vo.base.errors:InputError",
     "KeyframePose": "vo.base.types:KeyframePose",
     "Marker": "vo.tools.markers.image_markers:Marker",
@@ -95,6 +104,7 @@ _DEFINED_IN = {
     "ObjectDatabase": "vo.api.objects:ObjectDatabase",
     "Odometry": "vo.api.odometry:Odometry",
     "OutputError": "vo.base.errors:OutputError",
+    "PredictedPose": "vo.base.types:PredictedPose",
     "PlanePose": "vo.tools.markers.image_markers:PlanePose",
     "Recording": "vo.recordings.sources.source:Recording",
     "RenderOptions": "vo.tools.rendering.render:RenderOptions",
@@ -150,6 +160,8 @@ __all__ = [
     "FoundObject",
     "Frame",
     "FrameStream",
+    "ImuCalibration",
+    "ImuNoise",
     "InputError",
     "KeyframePose",
     "Marker",
@@ -158,6 +170,7 @@ __all__ = [
     "Odometry",
     "OutputError",
     "PlanePose",
+    "PredictedPose",
     "Recording",
     "RenderOptions",
     "Rendered",

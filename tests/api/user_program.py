@@ -44,11 +44,19 @@ def commands(folder: Path) -> None:
 
 
 def frames(images: list[np.ndarray[tuple[int, int], np.dtype[np.uint8]]]) -> vo.Trajectory:
-    with vo.Odometry("camera.yaml", mode="mono", overrides=["memory.map=house.map"]) as odometry:
+    words = vo.ImuCalibration(np.eye(4), vo.ImuNoise(1e-3, 1e-5, 1e-2, 1e-4), 0.01)
+    with vo.Odometry(
+        "camera.yaml", mode="mono", imu=words, map="house.map", localize=True, mask=["body.png"]
+    ) as odometry:
         for number, image in enumerate(images):
+            odometry.add_imu(number * 50_000_000 + 1, (0.0, 0.0, 0.1), np.array([0.0, 9.8, 0.0]))
+            ahead: vo.PredictedPose | None = odometry.predict(number * 50_000_000)
+            if ahead is not None and ahead.covariance is not None:
+                print(ahead.world_from_cam0[:3, 3], ahead.covariance.trace())
             estimate: vo.Estimate = odometry.track(number * 50_000_000, image)
             if estimate.state.has_pose and estimate.position is not None:
                 print(estimate, estimate.position[0])
             elif estimate.failure is not None:
                 print(str(estimate.failure).upper())
+        vo.Odometry("camera.yaml", localise=True)  # type: ignore[call-arg]
         return odometry.trajectory()

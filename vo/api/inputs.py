@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,18 @@ _MAX_DEPTH_M = 1e6
 _MILLIMETRES = np.float32(1e-3)
 
 
+def calibration_of(given: Calibration | Rig | str | Path) -> Calibration | Rig:
+    """A calibration, its file, or the cameras; raises `CalibrationError` and `ConfigError`."""
+    if isinstance(given, str | Path):
+        return read_calibration(given)
+    if not isinstance(given, Calibration | Rig):
+        raise ConfigError(
+            f"calibration is {kind_of(given)}; give a file, vo.read_calibration(file), the "
+            "rig of vo.open(recording), or a vo.Rig"
+        )
+    return given
+
+
 def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth: bool) -> Rig:
     """The cameras to use.
 
@@ -40,14 +53,8 @@ def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth:
         CalibrationError: the file cannot be read, or has no right camera in mode `stereo`.
         ConfigError: an argument is of another type, or there is no such mode.
     """
-    if isinstance(calibration, str | Path):
-        calibration = read_calibration(calibration)
+    calibration = calibration_of(calibration)
     rig = calibration.rig if isinstance(calibration, Calibration) else calibration
-    if not isinstance(rig, Rig):
-        raise ConfigError(
-            f"calibration is {kind_of(calibration)}; give a file, vo.read_calibration(file), the "
-            "rig of vo.open(recording), or a vo.Rig"
-        )
     if mode not in ("auto", "mono", "stereo"):
         raise ConfigError(f"mode is {shown(mode)}; give 'auto', 'mono' or 'stereo'")
     if mode == "stereo" and not rig.is_stereo:
@@ -59,7 +66,7 @@ def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth:
     return rig
 
 
-def config_of(config: Config | str | Path, overrides: Any) -> Config:
+def config_of(config: Config | str | Path, overrides: Any, settings: Sequence[str] = ()) -> Config:
     """The settings for frames that are given one by one.
 
     Raises:
@@ -68,15 +75,40 @@ def config_of(config: Config | str | Path, overrides: Any) -> Config:
     if isinstance(overrides, str):
         overrides = [overrides]
     if isinstance(config, Config):
+        if settings:
+            name = settings[0].partition("=")[0]
+            raise ConfigError(
+                f"{name} is a setting: give it in the Config, or config as a name or file"
+            )
         if overrides:
             raise ConfigError("give overrides with the name of a preset or file, not with a Config")
     elif isinstance(config, str | Path):
-        config = load_config(config, list(overrides))
+        config = load_config(config, [*overrides, *settings])
     else:
         raise ConfigError(f"config is {kind_of(config)}; give a preset, a file or a vo.Config")
     if config.tracking.every != 1:
         raise ConfigError(f"tracking.every is {config.tracking.every}; single frames need 1")
     return config
+
+
+def stamp_of(value: Any) -> int:
+    """A time in nanoseconds; raises `InputError` for what is no whole number of them."""
+    if isinstance(value, float | np.floating):
+        raise InputError(
+            f"stamp_ns is {value!r}, a float; give integer nanoseconds, for seconds "
+            "round(1e9 * seconds)"
+        )
+    if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
+        raise InputError(
+            f"stamp_ns is {kind_of(value)}; give integer nanoseconds, such as time.time_ns()"
+        )
+    try:
+        stamp = operator.index(value)
+    except Exception as error:  # such as of an array, which is no single number
+        raise InputError(f"stamp_ns is no integer: {error}") from None
+    if not 0 <= stamp <= _MAX_STAMP_NS:
+        raise InputError(f"stamp_ns is {stamp}; give nanoseconds from 0 to 2**63 - 1")
+    return stamp
 
 
 class FrameInput:
@@ -118,21 +150,7 @@ class FrameInput:
         return frame
 
     def _stamp(self, value: Any) -> int:
-        if isinstance(value, float | np.floating):
-            raise InputError(
-                f"stamp_ns is {value!r}, a float; give integer nanoseconds, for seconds "
-                "round(1e9 * seconds)"
-            )
-        if isinstance(value, bool | np.bool_) or not hasattr(value, "__index__"):
-            raise InputError(
-                f"stamp_ns is {kind_of(value)}; give integer nanoseconds, such as time.time_ns()"
-            )
-        try:
-            stamp = operator.index(value)
-        except Exception as error:  # such as of an array, which is no single number
-            raise InputError(f"stamp_ns is no integer: {error}") from None
-        if not 0 <= stamp <= _MAX_STAMP_NS:
-            raise InputError(f"stamp_ns is {stamp}; give nanoseconds from 0 to 2**63 - 1")
+        stamp = stamp_of(value)
         if self._last_stamp_ns is not None and stamp <= self._last_stamp_ns:
             raise InputError(
                 f"stamp_ns is {stamp}, the frame before had {self._last_stamp_ns}; stamps must "

@@ -8,21 +8,39 @@ from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, Unpack
 
-from vo.api.inputs import FrameInput, config_of, rig_of
+from vo.api.inputs import FrameInput, calibration_of, config_of, rig_of, stamp_of
+from vo.api.pose_between import pose_between
+from vo.api.pushed_imu import PushedImu
+from vo.api.run_words import OdometryWords, split_odometry_words
 from vo.api.same_bits import prepare
 from vo.base.config import Config
 from vo.base.errors import VoError
 from vo.base.images.given_images import ColourOrder
 from vo.base.records.calibration_errors import CalibrationErrors
-from vo.base.types import Estimate, KeyframePose, Mode, Rig, Snapshot, Trajectory
+from vo.base.records.inertial_use import InertialUse
+from vo.base.types import (
+    Estimate,
+    KeyframePose,
+    Mode,
+    PredictedPose,
+    Rig,
+    Snapshot,
+    Trajectory,
+)
 from vo.engine.odometry import Odometry as FrameOdometry
 from vo.engine.stages import BUILT_IN, Components
+from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.outputs.results.run_statistics import RunStatistics
 from vo.outputs.results.summary import RunFacts, Summary
 from vo.recordings.formats.calibration import Calibration
+from vo.recordings.sources.imu import usable_noise
+from vo.runs.inertial_checks import contradiction_faults
+from vo.runs.run_recording import check_maps
 from vo.runs.run_summary import summarise_odometry
+
+_SOURCE = "frames of a program"
 
 
 class Odometry:
@@ -44,10 +62,15 @@ class Odometry:
         colour: order of the channels of colour images, `bgr` as in OpenCV, or `rgb`.
         overrides: settings to change, such as `["features.count=2500"]`.
         components: parts to be used instead of the built-in ones.
+        **words: `imu`, `loops`, `map`, `localize`, `save_map`, `vocabulary`, `mask`, `ignore`,
+            `roi` and `threads` as in `vo.run`; `imu=True` for samples by `add_imu`, of the sensor
+            that the calibration describes, else give a `vo.ImuCalibration`, or one of
+            `vo.open(recording).imus`. The map is saved by `close`.
 
     Raises:
         CalibrationError: the calibration cannot be read, or the cameras cannot be rectified.
         ConfigError: a setting or an argument is invalid.
+        OutputError: no map could be saved.
     """
 
     def __init__(
@@ -60,12 +83,27 @@ class Odometry:
         colour: ColourOrder = "bgr",
         overrides: Sequence[str] = (),
         components: Components = BUILT_IN,
+        **words: Unpack[OdometryWords],
     ) -> None:
-        self.rig = rig_of(calibration, mode, has_depth=has_depth)
-        self._config = config_of(config, overrides)
+        cameras = calibration_of(calibration)
+        self.rig = rig_of(cameras, mode, has_depth=has_depth)
+        settings, others = split_odometry_words(words)
+        self._config = config_of(config, overrides, settings)
+        self._imu = PushedImu.of(others["imu"], cameras)
+        if self._imu is not None:
+            noise = usable_noise(self._imu)
+            components = components._replace(inertial_sensor=self._imu, inertial_noise=noise)
+        self._save_map: Path | None = others["save_map"]
+        _check_maps(self._config, self._save_map, calibration)
         self._input = FrameInput(self.rig, colour)
         prepare()
         self._odometry = FrameOdometry(self.rig, self._config, components)
+        if self._save_map is not None:
+            try:
+                self._odometry.map_alignment.check_savable(self._save_map)
+            except BaseException:
+                self._odometry.close()
+                raise
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="map")
         self._update: Future[None] | None = None  # extension of the map by the newest frame
         self._lock = threading.Lock()
@@ -97,6 +135,8 @@ class Odometry:
         with self._lock:
             self._check_open()
             frame = self._input.frame(stamp_ns, left, right, depth, mask)
+            if self._imu is not None:
+                self._imu.newest_frame_ns = frame.stamp_ns
             try:
                 self._finish_update()
                 estimate = self._odometry.locate(frame)
@@ -106,6 +146,45 @@ class Odometry:
                 raise
             self._count(estimate, is_unpaired=self._lacks_partner(right, depth))
             return estimate
+
+    def add_imu(self, stamp_ns: int, gyro: Any, accel: Any) -> None:
+        """A sample of the inertial sensor, of `imu=`; in order, in any thread, never waiting.
+
+        A frame uses the samples that came before it: give all until its time, and one after it.
+
+        Args:
+            stamp_ns: time in integer nanoseconds, above that of the sample before.
+            gyro: (3,) angular rates in rad/s, in the frame of the sensor.
+            accel: (3,) specific forces in m/s², upwards 9.81 at rest.
+
+        Raises:
+            InputError: a value is no sample, or comes out of order, and is left out; or the samples
+                of the first 4 s cannot be used, such as in degrees, and none is.
+            VoError: the odometry is closed, or has no inertial sensor.
+        """
+        if self._imu is None:
+            raise VoError("there is no inertial sensor; create the odometry with imu=True")
+        if self._end:
+            raise VoError(f"this odometry takes no more samples: {self._end}; create another one")
+        self._imu.add(stamp_ns, gyro, accel)
+
+    def predict(self, stamp_ns: int) -> PredictedPose | None:
+        """The pose at any time: between frames or, for up to 3 s, after the newest.
+
+        Between frames with a pose, up to 1 s apart, it is interpolated. After the newest one it is
+        predicted by the samples of the inertial sensor until then, with a covariance, once its
+        velocity is known; else by constant velocity, for up to 1 s. Results do not depend on calls.
+
+        Raises:
+            InputError: the time is no integer.
+        """
+        stamp = stamp_of(stamp_ns)
+        with self._lock:
+            self._finish_update()
+            store = self._odometry.trajectory
+            if len(store.frames) and stamp <= int(store.frames["stamp_ns"][-1]):
+                return pose_between(store, stamp)
+            return None if self._end else self._odometry.predict(stamp)
 
     def trajectory(self) -> Trajectory:
         """The smoothed path so far, as in `trajectory.tum`; final after `close`."""
@@ -150,6 +229,7 @@ class Odometry:
                 self._statistics,
                 unpaired=self._unpaired,
                 wall_s=time.perf_counter() - self._begun,
+                inertial=self._inertial_use(),
             )
 
     def close(self) -> None:
@@ -161,6 +241,10 @@ class Odometry:
                 if not self._end:
                     self._finish_update()
                     self._odometry.finish()
+                    found = contradiction_faults(self._inertial_use(), is_handled=False)
+                    self._statistics.faults.add(found)
+                    if self._save_map is not None and self._statistics.frames:
+                        self._odometry.map_alignment.save_map(self._save_map, _SOURCE)
             finally:
                 self._end = "it is closed"
                 self._worker.shutdown()
@@ -197,10 +281,14 @@ class Odometry:
         self._statistics.add_times(estimate.stage_ms)
         self._unpaired += is_unpaired
 
+    def _inertial_use(self) -> InertialUse | None:
+        found = self._odometry.map_alignment.inertial
+        return found if self._imu is None else self._imu.use(found)
+
     def _facts(self) -> RunFacts:
         frames = len(self._statistics.frames)
         return RunFacts(
-            source="frames of a program",
+            source=_SOURCE,
             format="library",
             mode="rgbd" if self.rig.has_depth else "stereo" if self.rig.is_stereo else "mono",
             has_ground_truth=False,
@@ -209,4 +297,12 @@ class Odometry:
             end=frames,
             stride=1,
             requested=frames,
+            opening_warnings=() if self._imu is None else self._imu.warnings(),
         )
+
+
+def _check_maps(config: Config, save_map: Path | None, calibration: object) -> None:
+    check_maps(config.memory, saves=save_map is not None)
+    file = Path(calibration) if isinstance(calibration, str | Path) else None
+    vocabulary = Path(config.memory.vocabulary) if config.memory.vocabulary else None
+    refuse_to_overwrite((file, vocabulary), (save_map,))

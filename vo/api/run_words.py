@@ -15,16 +15,40 @@ from vo.engine.stages import Components
 from vo.outputs.recorders.exports import Exports
 from vo.outputs.recorders.recorder import ImageChoice, Recorder
 from vo.outputs.streaming.sink import PoseSink
+from vo.recordings.formats.calibration import ImuCalibration
+from vo.recordings.sources.imu import Imu
 from vo.runs.progress import Progress
 from vo.runs.run_options import checked_options
 from vo.runs.scaling.scale_sources import ScaleOptions
 
 
-class RunWords(TypedDict, total=False):
+class SettingWords(TypedDict, total=False):
+    """Options of `vo.run` and of `vo.Odometry`; `mask`, `ignore`, `roi`: one text or a list."""
+
+    mask: str | Path | Sequence[str] | Sequence[Path]
+    ignore: str | Sequence[str]
+    roi: str | Sequence[str]
+    threads: int
+    loops: bool
+    vocabulary: str | Path | None
+    map: str | Path | None
+    localize: bool
+    save_map: str | Path | None
+
+
+class OdometryWords(SettingWords, total=False):
+    """Options of `vo.Odometry`.
+
+    `imu=True` takes what the calibration says of the inertial sensor; else give what describes it.
+    """
+
+    imu: bool | ImuCalibration | Imu
+
+
+class RunWords(SettingWords, total=False):
     """Options of `vo.run`, each as in `vo run --help-all`, in metres and seconds.
 
-    `markers` is the side of all markers, or the file of a marker map; `imu=False` is `--no-imu`;
-    `mask`, `ignore` and `roi` are one text or a list.
+    `markers` is the side of all markers, or the file of a marker map; `imu=False` is `--no-imu`.
     """
 
     mode: Mode
@@ -42,15 +66,7 @@ class RunWords(TypedDict, total=False):
     record: str | Path | None
     allow_hosts: Sequence[str]
     source_name: str | None
-    mask: str | Path | Sequence[str] | Sequence[Path]
-    ignore: str | Sequence[str]
-    roi: str | Sequence[str]
-    threads: int
     imu: bool
-    loops: bool
-    vocabulary: str | Path | None
-    map: str | Path | None
-    localize: bool
     gps: str | Path | None
     scale_from: str | Path | None
     scale_offset: float
@@ -66,7 +82,6 @@ class RunWords(TypedDict, total=False):
     rrd_images: ImageChoice
     viewer: str | None
     recorder: Recorder | None
-    save_map: str | Path | None
     mcap: str | Path | None
     colmap: str | Path | None
     ply: str | Path | None
@@ -110,11 +125,8 @@ def split_words(words: Mapping[str, Any]) -> tuple[list[str], dict[str, Any]]:
         ConfigError: a word is unknown or of another type, or is given twice.
     """
     given = checked_options(words, get_type_hints(RunWords))
-    for name in _LISTS:
-        if isinstance(given.get(name), str | Path):
-            given[name] = [given[name]]
-    overrides = [_override(name, given.pop(name)) for name in _SETTINGS if name in given]
-    if "map" in words and words["map"] is not None and "loops" not in words:
+    overrides = _settings(given)
+    if words.get("map") is not None and "loops" not in words:
         overrides.append("memory.loops=true")
     exports = {name: given.pop(name) for name in _IN_EXPORTS if name in given}
     if exports:
@@ -122,7 +134,30 @@ def split_words(words: Mapping[str, Any]) -> tuple[list[str], dict[str, Any]]:
     scale = {name: given.pop(name) for name in _IN_SCALE if name in given}
     if scale:
         given["scale"] = replace(_alone(given, "scale", scale) or ScaleOptions(), **_scale(scale))
-    return [text for text in overrides if text], given
+    return overrides, given
+
+
+def split_odometry_words(words: Mapping[str, Any]) -> tuple[list[str], dict[str, Any]]:
+    """Overrides of settings, and `save_map` and `imu` of `vo.Odometry`.
+
+    Raises:
+        ConfigError: a word is unknown or of another type.
+    """
+    given = checked_options(words, get_type_hints(OdometryWords))
+    imu = given.pop("imu", None)
+    overrides = _settings(given)
+    if "loops" not in words and not {words.get("map"), words.get("save_map")} <= {None}:
+        overrides.append("memory.loops=true")
+    return overrides, {"imu": imu, "save_map": given.pop("save_map", None)}
+
+
+def _settings(given: dict[str, Any]) -> list[str]:
+    """Overrides of those words that are settings, which are removed; lists of single texts."""
+    for name in _LISTS:
+        if isinstance(given.get(name), str | Path):
+            given[name] = [given[name]]
+    overrides = [_override(name, given.pop(name)) for name in _SETTINGS if name in given]
+    return [text for text in overrides if text]
 
 
 def _alone(given: Mapping[str, Any], name: str, words: Mapping[str, Any]) -> Any:

@@ -322,12 +322,12 @@ class Snapshot:
 
 
 class PredictedPose(NamedTuple):
-    """Pose of a lost frame by the inertial sensor: a prediction, which no image confirms.
+    """Pose of a lost frame, or of any time (`Odometry.predict`), which no image confirms.
 
     Attributes:
         world_from_cam0: (4, 4) in the world of the tracked frame before it.
         covariance: (6, 6) as that of `KeyframePose`: of the newest keyframe that has one, and of
-            the motion since the last tracked frame, which grows; None if the former is unknown.
+            the motion since the last tracked frame by the sensor, which grows; None if unknown.
     """
 
     world_from_cam0: Floats

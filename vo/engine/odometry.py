@@ -18,7 +18,7 @@ from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault, FaultKind
 from vo.base.records.calibration_errors import CalibrationErrors
 from vo.base.stopwatch import Stopwatch, timed
-from vo.base.types import Estimate, Frame, Rig, Snapshot, State
+from vo.base.types import Estimate, Frame, PredictedPose, Rig, Snapshot, State
 from vo.engine.frontend.lazy_future import LazyFuture
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.learned.inference import networks_used
@@ -107,6 +107,11 @@ class Odometry:
             return
         assert result.tracked is not None
         self._result = result._replace(keyframe=self._add_keyframe(result.frame, result.tracked))
+
+    def predict(self, stamp_ns: int) -> PredictedPose | None:
+        """The pose after the newest tracked frame, None if it is unknown; after `update_map`."""
+        ahead, segment = self._tracker.ahead(stamp_ns), self._recovery.segment
+        return self._trajectory.predicted(ahead, segment, self._anchor)
 
     def finish(self) -> Mapping[str, float]:
         """Apply the last results of the optimizer; the time by stage that it took."""

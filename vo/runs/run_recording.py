@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vo.base.config import Config, dump_config
+from vo.base.config import Config, MemoryConfig, dump_config
 from vo.base.errors import CalibrationError, ConfigError, NoCalibration, SourceError, VoError
 from vo.base.extras import require
 from vo.base.images.image_areas import split_cameras
@@ -138,21 +138,26 @@ def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:
     return config.model_copy(update={"memory": memory.model_copy(update={"loops": loops})})
 
 
+def check_maps(memory: MemoryConfig, *, saves: bool) -> None:
+    """Refuse what contradicts itself among the options of maps; raises `ConfigError`."""
+    if saves and not memory.loops:
+        raise ConfigError("`save_map` needs loops; leave out `memory.loops=false`")
+    if memory.map and not memory.loops:
+        raise ConfigError("`memory.map` needs loops; leave out `memory.loops=false`")
+    if memory.localize and not memory.map:
+        raise ConfigError("`memory.localize` finds poses in a map; give it by `memory.map=FILE`")
+    if memory.localize and saves:
+        raise ConfigError("`memory.localize` adds nothing to the map; leave out `save_map`")
+
+
 def _check_outputs(
     source: str | Path | FrameStream, output: Path, config: Config, options: RunOptions
 ) -> None:
     """Refuse outputs that would overwrite the input, files of others, or each other."""
     if options.rrd is not None or options.viewer is not None:
         require("rerun", "view", "recordings for the viewer")
-    if options.save_map is not None and not config.memory.loops:
-        raise ConfigError("`save_map` needs loops; leave out `memory.loops=false`")
     memory = config.memory
-    if memory.map and not memory.loops:
-        raise ConfigError("`memory.map` needs loops; leave out `memory.loops=false`")
-    if memory.localize and not memory.map:
-        raise ConfigError("`memory.localize` finds poses in a map; give it by `memory.map=FILE`")
-    if memory.localize and options.save_map is not None:
-        raise ConfigError("`memory.localize` adds nothing to the map; leave out `save_map`")
+    check_maps(memory, saves=options.save_map is not None)
     path = Path(source) if isinstance(source, str | Path) else None
     exports, save_map = options.exports or Exports(), options.save_map
     files = (options.rrd, *exports.files.values(), options.record)

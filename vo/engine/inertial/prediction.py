@@ -100,6 +100,15 @@ class InertialPredictor:
         self.turns = TurnLog()
         self.in_windows: dict[tuple[int, int], RelativeMotion | None] = {}
         self._reader = reader
+        self._apart: InertialPredictor | None = None
+
+    def ahead(self, first_ns: int, last_ns: int) -> RelativeMotion | None:
+        """Motion after the known one by a reader of its own: no later result depends on it."""
+        if self._apart is None:
+            reader = SampleReader(self._reader.sensor)
+            self._apart = InertialPredictor(reader, self.noise, self.imu_from_cam)
+        self._apart._reader.time_offset_s = self._reader.time_offset_s
+        return self._apart.motion(self.known, first_ns, last_ns)
 
     def turned(self, first_ns: int, last_ns: int) -> Floats | None:
         """(3, 3) first_from_last of the camera by the gyroscope; None without bias or samples."""

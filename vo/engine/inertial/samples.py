@@ -45,7 +45,7 @@ class InertialSensor(Protocol):
 
     @property
     def stamps_ns(self) -> Ints:
-        """(N,) times of all samples, increasing."""
+        """(N,) times of all samples, increasing; of a program's sensor, of those that came."""
         ...
 
     @property
@@ -85,6 +85,7 @@ class SampleReader:
         self._ends = (0, 0)
         self._interval: Interval | None = None  # between these
         self._block: _Block | None = None
+        self._known = 0  # samples that the sensor had when the block was read
 
     def between(self, first_ns: int, last_ns: int) -> Interval | None:
         """Samples from the time of an image to a later one; None where samples are missing."""
@@ -92,7 +93,8 @@ class SampleReader:
             return None
         offset_ns = round(1e9 * self.time_offset_s)
         ends = first_ns + offset_ns, last_ns + offset_ns
-        if self._ends != ends:  # predictions and what is learned of them ask for the same
+        # Predictions and what is learned of them ask for the same. What is missing may come.
+        if self._ends != ends or self._interval is None:
             self._ends, self._interval = ends, self._read(*ends)
         return self._interval
 
@@ -115,7 +117,9 @@ class SampleReader:
         return Interval(seconds, rows[:, :3], rows[:, 3:], bridged_s)
 
     def _block_of(self, first_ns: int, last_ns: int) -> _Block:
-        if self._block is None or first_ns < self._begin or last_ns > self._end:
+        is_inside = self._begin <= first_ns and last_ns <= self._end
+        if self._block is None or not is_inside or self._has_more(self._block, last_ns):
+            self._known = len(self.sensor.stamps_ns)
             self._begin = first_ns - _EARLIER_NS
             self._end = max(last_ns, first_ns + _BLOCK_NS)
             read = self.sensor.read(self._begin - _MARGIN_NS, self._end + _MARGIN_NS)
@@ -127,6 +131,11 @@ class SampleReader:
                 gaps = _Refused.of(read.stamps_ns, refused)
                 self._block = _Block(read.stamps_ns[~refused], values[~refused], gaps)
         return self._block
+
+    def _has_more(self, block: _Block, last_ns: int) -> bool:
+        """Whether a block ends too early, and samples came since it was read."""
+        ends_before = not len(block.stamps_ns) or int(block.stamps_ns[-1]) < last_ns
+        return ends_before and len(self.sensor.stamps_ns) > self._known
 
 
 class _Refused(NamedTuple):

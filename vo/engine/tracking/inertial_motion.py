@@ -7,7 +7,7 @@ import numpy as np
 from vo.base.geometry.transforms import so3_log
 from vo.base.types import Floats
 from vo.engine.inertial.estimation import QUICK_RAD_S
-from vo.engine.inertial.prediction import Gap, InertialPredictor
+from vo.engine.inertial.prediction import Gap, InertialPredictor, RelativeMotion
 from vo.engine.inertial.preintegration import rotation_of
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel, PosePrior
@@ -90,6 +90,10 @@ class GyroMotion(MotionModel):
             pose = self._visual.predict(stamp_ns)
         self._predicted = stamp_ns, pose
         return pose
+
+    def ahead(self, stamp_ns: int) -> Floats | None:
+        """See `MotionModel.ahead`."""
+        return self._visual.ahead(stamp_ns)
 
     def rate(self, stamp_ns: int, readout_s: float) -> Floats | None:
         """See `MotionModel.rate`."""
@@ -218,8 +222,18 @@ class InertialMotion(MotionModel):
         prior = self.prior(stamp_ns)
         return self._predicted(stamp_ns, _LAST_RAD) if prior is None and self._has_map else prior
 
+    def ahead(self, stamp_ns: int) -> Floats | PosePrior | None:
+        """See `MotionModel.ahead`; None after a map was given up."""
+        if not self._has_map:
+            return None
+        prior = self._prior_of(self._predictor.ahead(self._last_ns, stamp_ns), _LAST_RAD)
+        return self._usual.ahead(stamp_ns) if prior is None else prior
+
     def _predicted(self, stamp_ns: int, last_rad: float) -> PosePrior | None:
         motion = self._predictor.motion(self._predictor.known, self._last_ns, stamp_ns)
+        return self._prior_of(motion, last_rad)
+
+    def _prior_of(self, motion: RelativeMotion | None, last_rad: float) -> PosePrior | None:
         if motion is None:
             return None
         covariance = motion.covariance + np.diag([last_rad**2] * 3 + [0.0] * 3)

@@ -11,6 +11,7 @@ from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_l
 from vo.base.types import Floats
 from vo.engine.inertial.prediction import Gap
 
+_MAX_AHEAD_NS = 1_000_000_000  # after the newest tracked frame, without an inertial sensor
 _MAX_SQUARED = 10.0**2  # squared Mahalanobis distance of a measured pose from a predicted one
 
 
@@ -74,6 +75,10 @@ class MotionModel(Protocol):
     def predict(self, stamp_ns: int) -> Floats:
         """Pose at a later time."""
         ...
+
+    def ahead(self, stamp_ns: int) -> Floats | PosePrior | None:
+        """Pose at a later time for programs; no other result depends on whether it is asked."""
+        return self.predict(stamp_ns)
 
     @property
     def gaps(self) -> Sequence[Gap]:
@@ -146,3 +151,8 @@ class ConstantVelocity(MotionModel):
             pose = np.asarray(self._world_from_cam @ se3_exp(twist))
             self._predicted = stamp_ns, pose
         return self._predicted[1]
+
+    def ahead(self, stamp_ns: int) -> Floats | None:
+        """See `MotionModel.ahead`; None where the velocity is unknown or too old."""
+        is_recent = stamp_ns - self._stamp_ns <= _MAX_AHEAD_NS
+        return self.predict(stamp_ns) if is_recent and self._moved is not None else None

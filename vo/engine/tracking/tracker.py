@@ -143,6 +143,10 @@ class Tracker:
         """The pose of a frame that was not tracked, by an inertial sensor; None if unknown."""
         return self._motion.of_lost(frame.stamp_ns)
 
+    def ahead(self, stamp_ns: int) -> Floats | PosePrior | None:
+        """The pose at a later time than the newest frame; None if it is unknown."""
+        return None if self.last is None else self._motion.ahead(stamp_ns)
+
     @timed("match")
     def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
         """last_from_cam (4, 4) by sparse image alignment; None if it fails.

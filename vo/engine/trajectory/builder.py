@@ -91,11 +91,13 @@ class TrajectoryBuilder:
         return pose if anchor is None else anchor.transform(pose)
 
     def predicted(
-        self, prior: PosePrior | None, segment: int, anchor: Anchor | None
+        self, prior: Floats | PosePrior | None, segment: int, anchor: Anchor | None
     ) -> PredictedPose | None:
-        """The pose of a lost frame in the map frame; the prior is in that of odometry."""
+        """A predicted pose in the map frame; the prior, or pose alone, is in that of odometry."""
         if prior is None:
             return None
+        if not isinstance(prior, PosePrior):
+            return PredictedPose(self.map_from_cam0(prior, anchor), None)
         pose = self.map_from_cam0(prior.world_from_cam, anchor)
         reference = self.store.newest_certain(segment)
         if reference is None:

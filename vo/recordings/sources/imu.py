@@ -42,13 +42,22 @@ class ImuSamples:
         return len(self.stamps_ns)
 
 
-class Imu(Protocol):
-    """An inertial sensor of a recording."""
+class NamedNoise(Protocol):
+    """An inertial sensor by its noise."""
 
     @property
     def name(self) -> str:
         """Topic, file or folder of the sensor."""
         ...
+
+    @property
+    def noise(self) -> ImuNoise | None:
+        """Noise densities of the sensor; None if unknown (see `usable_noise`)."""
+        ...
+
+
+class Imu(NamedNoise, Protocol):
+    """An inertial sensor of a recording."""
 
     @property
     def stamps_ns(self) -> Ints:
@@ -62,11 +71,6 @@ class Imu(Protocol):
     @property
     def cam0_from_imu(self) -> Floats | None:
         """Pose of the sensor relative to cam0, (4, 4); None if unknown."""
-        ...
-
-    @property
-    def noise(self) -> ImuNoise | None:
-        """Noise densities of the sensor; None if unknown (see `usable_noise`)."""
         ...
 
     @property
@@ -147,7 +151,7 @@ def imu_of(calibration: Calibration | None) -> ImuCalibration:
     return ImuCalibration() if calibration is None else calibration.imu
 
 
-def usable_noise(imu: Imu) -> ImuNoise:
+def usable_noise(imu: NamedNoise) -> ImuNoise:
     """The noise of a sensor; if it is unknown, that of a consumer sensor, with a warning.
 
     Values of 0, as of a simulated sensor, are replaced by tiny ones, so that covariances are
