@@ -19,11 +19,7 @@ from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Ints
 from vo.engine.geometry import sim3
 from vo.engine.loop_verification.landmark_search import KeyframePair
 from vo.engine.loop_verification.merged_landmarks import MergedLandmarks, in_view
-from vo.engine.loop_verification.patch_comparison import (
-    COMPARED_PX,
-    largest_correlation,
-    normalised,
-)
+from vo.engine.loop_verification.patch_comparison import COMPARED_PX, largest_correlation
 from vo.engine.places.records import Place
 
 _SEARCHED_PX = COMPARED_PX + 2  # with shifts of a pixel
@@ -130,9 +126,8 @@ def _by_landmark(
     rotation = rotation / np.sqrt(max(abs(np.linalg.det(rotation)), 1e-12))
     steps = (size * there.scale[1] / here.scale[1])[:, None, None] * rotation
     area = there.windows(target, steps, _SEARCHED_PX)
-    flat = template.reshape(len(rows), -1)
-    correlation = largest_correlation(normalised(flat), area)
-    contrast = flat.std(axis=1) > _MIN_CONTRAST
+    correlation = largest_correlation(template, area)
+    contrast = template.reshape(len(rows), -1).std(axis=1) > _MIN_CONTRAST
     result[rows[contrast]] = correlation[contrast]
     return result
 

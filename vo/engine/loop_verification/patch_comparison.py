@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.types import Bytes, Floats, Floats32
 from vo.engine.places.records import PATCH_PX
 
 COMPARED_PX = 9  # side of the compared part
-_SHIFTS = (-1, 0, 1)  # a corner is detected to about a pixel of its level
+_BLANK = 1.0  # length of grey levels without their mean
 
 
 def patch_correlation(earlier: Bytes, later: Bytes, earlier_from_later: Floats) -> Floats:
@@ -16,45 +17,68 @@ def patch_correlation(earlier: Bytes, later: Bytes, earlier_from_later: Floats) 
 
     Steps in the later patch map to the earlier one by `earlier_from_later` (N, 2, 2).
     """
-    if len(earlier) == 0:
-        return np.empty(0)
     first = (PATCH_PX - COMPARED_PX) // 2 - 1
     area = later[:, first : PATCH_PX - first, first : PATCH_PX - first].astype(np.float32)
-    return largest_correlation(normalised(_warped(earlier, earlier_from_later)), area)
+    template = np.empty((len(earlier), COMPARED_PX, COMPARED_PX), np.float32)
+    _warp(np.ascontiguousarray(earlier), np.ascontiguousarray(earlier_from_later), template)
+    return largest_correlation(template, area)
 
 
 def largest_correlation(template: Floats32, area: Floats32) -> Floats:
-    """(N,) largest correlation with a part of an area, over shifts of a pixel.
+    """(N,) largest correlation with a part of an area, over shifts of a pixel; 0 if one is blank.
+
+    A corner is detected to about a pixel of its level.
 
     Args:
-        template: (N, COMPARED_PX ** 2) normalised.
+        template: (N, COMPARED_PX, COMPARED_PX) grey levels.
         area: (N, COMPARED_PX + 2, COMPARED_PX + 2) grey levels.
     """
     best = np.full(len(area), -1.0)
-    for dy in _SHIFTS:
-        for dx in _SHIFTS:
-            part = area[:, 1 + dy : 1 + dy + COMPARED_PX, 1 + dx : 1 + dx + COMPARED_PX]
-            window = normalised(part.reshape(len(area), -1))
-            best = np.maximum(best, (template * window).sum(axis=1))
+    _correlate(np.ascontiguousarray(template), np.ascontiguousarray(area), best)
     return best
 
 
-def _warped(patches: Bytes, warp: Floats) -> Floats32:
-    """(N, 81) grey levels of warped patches, bilinear, with their edges repeated."""
-    across = np.arange(COMPARED_PX) - COMPARED_PX // 2
-    steps = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2).astype(np.float64)
-    at = np.clip(steps @ np.swapaxes(warp, 1, 2) + PATCH_PX // 2, 0.0, PATCH_PX - 1.001)
-    whole = at.astype(np.int64)
-    part = (at - whole).astype(np.float32)
-    row, one = np.arange(len(patches))[:, None], np.float32(1.0)
-    x, y, fx, fy = whole[..., 0], whole[..., 1], part[..., 0], part[..., 1]
-    upper = patches[row, y, x] * (one - fx) + patches[row, y, x + 1] * fx
-    lower = patches[row, y + 1, x] * (one - fx) + patches[row, y + 1, x + 1] * fx
-    return np.asarray(upper * (one - fy) + lower * fy)
+@compiled
+def _correlate(template, area, best):  # type: ignore[no-untyped-def]
+    """Raise each of `best` (N,) to the largest correlation."""
+    side = template.shape[1]
+    count = side * side
+    for n in range(len(template)):
+        total = total_squared = 0.0
+        for y in range(side):
+            for x in range(side):
+                total += template[n, y, x]
+                total_squared += float(template[n, y, x]) * template[n, y, x]
+        mean = total / count
+        length = np.sqrt(max(total_squared - total * mean, 0.0))
+        for dy in range(area.shape[1] - side + 1):
+            for dx in range(area.shape[2] - side + 1):
+                level = squared = product = 0.0
+                for y in range(side):
+                    for x in range(side):
+                        grey = float(area[n, dy + y, dx + x])
+                        level += grey
+                        squared += grey * grey
+                        product += grey * (template[n, y, x] - mean)
+                spread = np.sqrt(max(squared - level * level / count, 0.0))
+                if length > _BLANK and spread > _BLANK:
+                    best[n] = max(best[n], product / (length * spread))
+                else:
+                    best[n] = max(best[n], 0.0)
 
 
-def normalised(values: Floats32) -> Floats32:
-    """Rows with mean 0 and length 1; blank ones become 0."""
-    centred = values - values.mean(axis=1, keepdims=True)
-    length = np.linalg.norm(centred, axis=1, keepdims=True)
-    return np.asarray(np.where(length > 1.0, centred / np.maximum(length, 1.0), 0.0))
+@compiled
+def _warp(patches, warp, warped):  # type: ignore[no-untyped-def]
+    """Grey levels (N, side, side) of warped patches, bilinear, with their edges repeated."""
+    side, last, middle = warped.shape[1], patches.shape[1] - 1.001, patches.shape[1] // 2
+    for n in range(len(patches)):
+        for row in range(side):
+            for column in range(side):
+                dx, dy = column - side // 2, row - side // 2
+                u = min(max(warp[n, 0, 0] * dx + warp[n, 0, 1] * dy + middle, 0.0), last)
+                v = min(max(warp[n, 1, 0] * dx + warp[n, 1, 1] * dy + middle, 0.0), last)
+                x, y = int(u), int(v)
+                fx, fy = u - x, v - y
+                upper = patches[n, y, x] * (1.0 - fx) + patches[n, y, x + 1] * fx
+                lower = patches[n, y + 1, x] * (1.0 - fx) + patches[n, y + 1, x + 1] * fx
+                warped[n, row, column] = upper * (1.0 - fy) + lower * fy

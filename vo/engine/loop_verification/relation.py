@@ -18,6 +18,7 @@ _ITERATIONS = 10
 _MAX_LOG_SCALE = 5.0  # beyond, the pairs determine no scale
 _CONVERGED = 1e-4  # squared Mahalanobis length of a step
 _DEPTH_SIGMA = 0.05  # of the scale by the depths in both keyframes
+_OPPOSITE = -np.eye(3)
 
 
 class LandmarkPairs(NamedTuple):
@@ -218,96 +219,75 @@ def _normal_equations(
 
     Errors of `limit` or more, squared, have no weight.
     """
+    normal, right, squared = np.zeros((7, 7)), np.zeros(7), np.empty(len(pairs.earlier))
+    fields = (np.ascontiguousarray(field, np.float64) for field in pairs)
     back = sim3.inverse(relation)
-    # relation @ exp(xi) moves p in the later frame by r x p + t + l p, and back(p) by the opposite.
-    forward = _one_way(
-        _Moved(
-            *(relation, pairs.later, pairs.later, pairs.earlier_xy, pairs.later_sigma),
-            *(pairs.sigma_px, cameras[0], relation[:3, :3]),
-        ),
-        limit,
-    )
-    at_later = pairs.earlier @ back[:3, :3].T + back[:3, 3]
-    backward = _one_way(
-        _Moved(
-            *(back, pairs.earlier, at_later, pairs.later_xy, pairs.earlier_sigma),
-            *(pairs.sigma_px, cameras[1], -np.eye(3)),
-        ),
-        limit,
-    )
-    return (
-        forward[0] + backward[0],
-        forward[1] + backward[1],
-        np.maximum(forward[2], backward[2]),
-    )
+    _add_pairs(relation, back, _OPPOSITE, *fields, *cameras, limit, normal, right, squared)
+    return normal, right, squared
 
 
-class _Moved(NamedTuple):
-    """Points that are moved to the other camera, and where it observes them.
+@compiled
+def _add_pairs(  # type: ignore[no-untyped-def]
+    relation, back, opposite, earlier, later, earlier_xy, later_xy, earlier_sigma, later_sigma,
+    sigma_px, camera_e, camera_l, limit, normal, right, squared,
+):  # fmt: skip
+    """Sum the normal equations of all pairs; their squared errors, the larger of both images.
 
-    Attributes:
-        tangent_at: (N, 3) where the tangent acts, in the later frame.
-        xy: (N, 2) observed pixels.
-        by_motion: (3, 3) derivative of a moved point by a motion in the later frame.
+    relation @ exp(xi) moves a point p of the later frame by r x p + t + l p, and back(p) by the
+    opposite.
     """
+    rows, at = np.empty((2, 7)), np.empty(3)
+    for n in range(len(earlier)):
+        forward = _add_projection(
+            *(relation, later[n], relation, later[n], earlier_xy[n], later_sigma[n]),
+            *(sigma_px[n], camera_e, limit, rows, normal, right),
+        )
+        at[0], at[1], at[2] = to_camera(back, earlier[n, 0], earlier[n, 1], earlier[n, 2])
+        backward = _add_projection(
+            *(back, earlier[n], opposite, at, later_xy[n], earlier_sigma[n]),
+            *(sigma_px[n], camera_l, limit, rows, normal, right),
+        )
+        squared[n] = max(forward, backward)
 
-    transform: Floats
-    points: Floats
-    tangent_at: Floats
-    xy: Floats
-    sigma: Floats
-    sigma_px: Floats
-    camera: Intrinsics
-    by_motion: Floats
 
+@compiled(**NO_REFCOUNT)
+def _add_projection(  # type: ignore[no-untyped-def]
+    transform, point, by_motion, at, xy, depth_sigma, sigma_px, camera, limit, rows, normal, right
+):
+    """Add the projection of a moved point; its squared error.
 
-def _one_way(moved: _Moved, limit: float) -> tuple[Floats, Floats, Floats]:
-    """Normal equations of the projections of moved points, and squared errors (N,).
-
-    Squared errors of `limit` or more have no weight.
+    by_motion (3, 3) is the derivative of the moved point by a motion of the later frame at `at`.
     """
-    error, by_point, ok = _projected(moved)
-    # Error of a depth moves the point along its ray, and its projection by `along`.
-    ray = (moved.points @ moved.transform[:3, :3].T * moved.sigma[:, None])[:, :, None]
-    along = (by_point @ ray)[:, :, 0]
-    variance = moved.sigma_px**2
-    inner = variance + (along**2).sum(axis=1)
-    weight = (np.eye(2) - along[:, :, None] * along[:, None, :] / inner[:, None, None]) / (
-        variance[:, None, None]
-    )
-    squared = np.where(ok, (error * (weight @ error[:, :, None])[:, :, 0]).sum(axis=1), np.inf)
-    robust = np.where(
-        squared < limit, np.minimum(1.0, _HUBER / np.sqrt(np.maximum(squared, 1e-12))), 0.0
-    )
-    robust = np.where(ok, robust, 0.0)
-    jacobian = by_point @ (moved.by_motion @ _tangents(moved.tangent_at))
-    weighted = (weight * robust[:, None, None]) @ jacobian
-    rows = weighted.reshape(-1, 7)
-    return rows.T @ jacobian.reshape(-1, 7), -rows.T @ error.reshape(-1), squared
-
-
-def _projected(moved: _Moved) -> tuple[Floats, Floats, Bools]:
-    """Errors (N, 2) in pixels, their derivatives (N, 2, 3) by the point, and valid points (N,)."""
-    camera = moved.camera
-    p = moved.points @ moved.transform[:3, :3].T + moved.transform[:3, 3]
-    ok = p[:, 2] > MIN_DEPTH
-    z = np.where(ok, p[:, 2], 1.0)
-    u, v = p[:, 0] / z, p[:, 1] / z
-    error = np.stack(
-        [camera.fx * u + camera.cx - moved.xy[:, 0], camera.fy * v + camera.cy - moved.xy[:, 1]], 1
-    )
-    by_point = np.zeros((len(p), 2, 3))
-    by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * u / z
-    by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * v / z
-    return error, by_point, ok
-
-
-def _tangents(points: Floats) -> Floats:
-    """(N, 3, 7) derivatives of points (N, 3) by rotation, translation and logarithm of scale."""
-    by = np.zeros((len(points), 3, 7))
-    x, y, z = points[:, 0], points[:, 1], points[:, 2]
-    by[:, 0, 1], by[:, 0, 2], by[:, 1, 2] = z, -y, x
-    by[:, 1, 0], by[:, 2, 0], by[:, 2, 1] = -z, y, -x
-    by[:, 0, 3] = by[:, 1, 4] = by[:, 2, 5] = 1.0
-    by[:, :, 6] = points
-    return by
+    x, y, z = to_camera(transform, point[0], point[1], point[2])
+    if z <= MIN_DEPTH:
+        return np.inf
+    u, v, fx, fy = x / z, y / z, camera.fx / z, camera.fy / z
+    e0, e1 = camera.fx * u + camera.cx - xy[0], camera.fy * v + camera.cy - xy[1]
+    # An error of the depth moves the point along its ray, and its projection by `a0`, `a1`.
+    along = depth_sigma * (z - transform[2, 3])
+    a0 = fx * (depth_sigma * (x - transform[0, 3]) - u * along)
+    a1 = fy * (depth_sigma * (y - transform[1, 3]) - v * along)
+    variance = sigma_px * sigma_px
+    inner = variance * (variance + a0 * a0 + a1 * a1)
+    w00, w01, w11 = 1 / variance - a0 * a0 / inner, -a0 * a1 / inner, 1 / variance - a1 * a1 / inner
+    squared = w00 * e0 * e0 + 2 * w01 * e0 * e1 + w11 * e1 * e1
+    if squared >= limit:
+        return squared
+    robust = min(1.0, _HUBER / np.sqrt(max(squared, 1e-12)))
+    w00, w01, w11 = robust * w00, robust * w01, robust * w11
+    for axis in range(3):
+        rows[0, 3 + axis] = fx * (by_motion[0, axis] - u * by_motion[2, axis])
+        rows[1, 3 + axis] = fy * (by_motion[1, axis] - v * by_motion[2, axis])
+    for k in range(2):
+        g0, g1, g2 = rows[k, 3], rows[k, 4], rows[k, 5]
+        rows[k, 0] = g2 * at[1] - g1 * at[2]
+        rows[k, 1] = g0 * at[2] - g2 * at[0]
+        rows[k, 2] = g1 * at[0] - g0 * at[1]
+        rows[k, 6] = g0 * at[0] + g1 * at[1] + g2 * at[2]
+    for i in range(7):
+        first = w00 * rows[0, i] + w01 * rows[1, i]
+        second = w01 * rows[0, i] + w11 * rows[1, i]
+        right[i] -= first * e0 + second * e1
+        for j in range(7):
+            normal[i, j] += first * rows[0, j] + second * rows[1, j]
+    return squared
