@@ -30,7 +30,7 @@ gc.disable()
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 sys.path[:], sys.modules["scipy"] = {path!r}, None
 from vo.engine.backend.worker import main
-main()
+main({for_windows})
 """
 
 
@@ -53,14 +53,16 @@ def child_started_early(threads: int) -> Iterator[subprocess.Popen[bytes] | None
             end_child(child)
 
 
-def start_child() -> subprocess.Popen[bytes]:
-    """Start the process, which waits for windows on its standard input.
+def start_child(*, for_windows: bool = True) -> subprocess.Popen[bytes]:
+    """Start the process, which waits for problems on its standard input.
+
+    `for_windows`: whether it loads what windows need before the first one.
 
     Raises:
         OSError: it cannot be started.
     """
     child = subprocess.Popen(
-        [sys.executable, "-P", "-c", _PROGRAM.format(path=_import_path())],
+        [sys.executable, "-P", "-c", _PROGRAM.format(path=_import_path(), for_windows=for_windows)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         # On such small matrices a second BLAS thread only occupies a core.

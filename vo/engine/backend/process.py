@@ -36,9 +36,14 @@ class SolverProcess(Generic[Problem, Solution]):
         left_alone: the solution of a problem that cannot be solved, made in this process.
         options: further arguments of the solver.
 
+    Attributes:
+        for_windows: whether the process is prepared for windows.
+
     Raises:
         OSError: the process cannot be started.
     """
+
+    for_windows = False
 
     def __init__(
         self,
@@ -50,7 +55,7 @@ class SolverProcess(Generic[Problem, Solution]):
         self._solver = solver
         self._left_alone = left_alone
         self._options = options
-        self._children = [child or start_child()]  # one, until it is ended
+        self._children = [child or self._start()]  # one, until it is ended
         self._end = weakref.finalize(self, _end_all, self._children)
         self._problem: Problem | None = None
         self._has_result = False
@@ -92,6 +97,9 @@ class SolverProcess(Generic[Problem, Solution]):
             raise RuntimeError("the optimizer was closed")
         return self._children[0]
 
+    def _start(self) -> Popen[bytes]:
+        return start_child(for_windows=self.for_windows)
+
     def _send(self, problem: Problem) -> None:
         pipe = self._child.stdin
         assert pipe is not None
@@ -109,7 +117,7 @@ class SolverProcess(Generic[Problem, Solution]):
     def _replace(self) -> None:
         status = end_child(self._child)
         _log.warning("the optimizer's process died (status %d) and is restarted", status)
-        self._children[:] = [start_child()]
+        self._children[:] = [self._start()]
 
 
 class OptimizerProcess(SolverProcess[WindowProblem, WindowSolution]):
@@ -118,6 +126,8 @@ class OptimizerProcess(SolverProcess[WindowProblem, WindowSolution]):
     Raises:
         OSError: the process cannot be started.
     """
+
+    for_windows = True
 
     def __init__(self, config: SmoothingConfig, child: Popen[bytes] | None = None) -> None:
         # Plain numbers: importing the settings' classes would take a quarter of its start-up.

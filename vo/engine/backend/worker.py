@@ -17,12 +17,13 @@ from vo.engine.backend.solution import solve
 from vo.engine.backend.window_problem import WindowProblem
 
 
-def main() -> None:
+def main(for_windows: bool) -> None:
     """Read problems from standard input and write solutions to standard output, until it closes."""
     problems = os.fdopen(os.dup(0), "rb")
     solutions = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # output of libraries must not get between the solutions
-    warm_up()
+    if for_windows:
+        warm_up()
     give_way()
     gc.freeze()  # loaded modules are no garbage
     gc.enable()
