@@ -17,6 +17,7 @@ from vo.base.extras import require
 from vo.base.images.image_areas import split_cameras
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
+from vo.base.scheduling import one_opencv_thread
 from vo.engine.odometry import Odometry
 from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
@@ -87,6 +88,7 @@ def run(
         _disconnected_at_end(stream),
         opened_streams(options.poses, options.allow_origins) as poses,
         locked_folder(Path(output)),
+        one_opencv_thread(),
     ):
         try:
             return _run(opened, output, components, poses)
