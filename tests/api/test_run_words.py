@@ -10,7 +10,7 @@ import pytest
 
 import vo
 from vo.api.run_words import RunWords, split_words
-from vo.cli.app import _COMMANDS
+from vo.cli.app import command_function
 from vo.cli.blocks import CommandFunction
 from vo.runs.run_options import RunOptions
 
@@ -25,7 +25,7 @@ _IN_PYTHON = {
 
 def test_every_option_of_the_command_is_a_word() -> None:
     words = set(get_type_hints(RunWords))
-    command = CommandFunction(_COMMANDS["Start here"]["run"]).__signature__.parameters
+    command = CommandFunction(command_function("run")).__signature__.parameters
     named = {_IN_PYTHON.get(name, name) for name in command} - {None}
     assert named - words == set()
     internal = {"profile_since", "optimizer_process", "flags"}

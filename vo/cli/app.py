@@ -7,42 +7,19 @@ import io
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from vo.base.errors import VoError
-from vo.cli.batch import batch_command
 from vo.cli.blocks import CommandFunction
-from vo.cli.calibrate import calibrate_command
 from vo.cli.command import Command
-from vo.cli.compare import compare_command
-from vo.cli.convert import convert_command
-from vo.cli.demo import demo_command
 from vo.cli.echo import echo
-from vo.cli.eval import eval_command
-from vo.cli.features import features_command
 from vo.cli.flags import speak_as
 from vo.cli.help_levels import FIRST_OPTIONS, help_all_option
-from vo.cli.info import info_command
-from vo.cli.map import map_command
-from vo.cli.markers import markers_command
-from vo.cli.match import match_command
-from vo.cli.memory import memory_command
-from vo.cli.models import models_command
-from vo.cli.panorama import panorama_command
-from vo.cli.recognize import recognize_command
-from vo.cli.render import render_command
-from vo.cli.report import report_command
-from vo.cli.run import run_command
-from vo.cli.sweep import sweep_command
-from vo.cli.synth import synth_command
-from vo.cli.video import video_command
-from vo.cli.view import view_command
-from vo.cli.vocabulary import vocabulary_command
-from vo.cli.warmup import warmup_command
 
 # Such as a number of a million digits in a damaged file.
 _LONG_WORD = re.compile(r"(\S{200})\S{800,}")
@@ -99,7 +76,7 @@ def _discard_stdout() -> None:
         return
 
 
-app = typer.Typer(
+_app = typer.Typer(
     cls=_Group,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -115,7 +92,7 @@ def _print_version(is_given: bool) -> None:
         raise typer.Exit()
 
 
-@app.callback()
+@_app.callback()
 def _vo(
     version: Annotated[
         bool,
@@ -138,51 +115,45 @@ def _vo(
     """
 
 
-_COMMANDS: dict[str, dict[str, Callable[..., None]]] = {
-    "Start here": {
-        "demo": demo_command,
-        "info": info_command,
-        "run": run_command,
-    },
-    "Results": {
-        "view": view_command,
-        "eval": eval_command,
-        "report": report_command,
-        "compare": compare_command,
-        "map": map_command,
-        "render": render_command,
-        "video": video_command,
-    },
-    "Recordings and cameras": {
-        "calibrate": calibrate_command,
-        "convert": convert_command,
-        "synth": synth_command,
-        "batch": batch_command,
-        "sweep": sweep_command,
-        "warmup": warmup_command,
-    },
-    "Features, markers and objects": {
-        "match": match_command,
-        "features": features_command,
-        "panorama": panorama_command,
-        "markers": markers_command,
-        "recognize": recognize_command,
-        "models": models_command,
-        "vocabulary": vocabulary_command,
-        "memory": memory_command,
-    },
+COMMANDS = {
+    "Start here": ("demo", "info", "run"),
+    "Results": ("view", "eval", "report", "compare", "map", "render", "video"),
+    "Recordings and cameras": ("calibrate", "convert", "synth", "batch", "sweep", "warmup"),
+    "Features, markers and objects": (
+        *("match", "features", "panorama", "markers", "recognize", "models", "vocabulary"),
+        "memory",
+    ),
 }
 """Commands below their headings in `vo --help`."""
-speak_as(CommandFunction(run_command))
-for _heading, _functions in _COMMANDS.items():
-    for _name, _function in _functions.items():
-        _extra = (help_all_option(),) if _name in FIRST_OPTIONS else ()
-        _given = CommandFunction(_function, *_extra)
-        app.command(_name, cls=Command, rich_help_panel=_heading)(_given)
 
 
-def keep_only(arguments: list[str]) -> None:
-    """Remove all commands but the given one, as Typer would prepare all of them."""
-    given = [command for command in app.registered_commands if [command.name] == arguments]
-    if given:
-        app.registered_commands = given
+def command_function(name: str) -> Callable[..., None]:
+    """The function of a command, `run_command` in the module `run` for `run`."""
+    function: Callable[..., None] = getattr(import_module(f"vo.cli.{name}"), f"{name}_command")
+    return function
+
+
+def command_line(arguments: Sequence[str] = ()) -> typer.Typer:
+    """The application with the command that the arguments begin with, or with all commands.
+
+    Loading and preparing all of them takes a tenth of a second.
+    """
+    given = [name for names in COMMANDS.values() for name in names if [name] == [*arguments[:1]]]
+    _app.registered_commands = []
+    for heading, names in COMMANDS.items():
+        for name in names:
+            if name in given or not given:
+                extra = (help_all_option(),) if name in FIRST_OPTIONS else ()
+                function = CommandFunction(command_function(name), *extra)
+                _app.command(name, cls=Command, rich_help_panel=heading)(function)
+    return _app
+
+
+def __getattr__(name: str) -> Any:
+    """`app` is the application with all commands."""
+    if name == "app":
+        return command_line()
+    raise AttributeError(name)
+
+
+speak_as(CommandFunction(command_function("run")))

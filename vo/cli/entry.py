@@ -37,9 +37,9 @@ def _main() -> None:
     # pydantic would search all installed packages for plugins.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     with collection_paused():
-        from vo.cli.app import app, keep_only
+        from vo.cli.app import command_line
 
-        keep_only(sys.argv[1:2])
+        app = command_line(sys.argv[1:])
 
     atexit.register(gc.freeze)  # a garbage collection at exit would be wasted time
     if handles_interrupts:
