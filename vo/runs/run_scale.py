@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, choose_scales, without_metric
 from vo.base.types import Estimate, Snapshot, Trajectory
 from vo.engine.map_alignment import MapAlignment
-from vo.engine.markers.marker_problem import MarkerView
 from vo.engine.trajectory.store import TrajectoryStore
 from vo.outputs.recorders.recorder import Findings, LoopClosures, Recorder
-from vo.runs.scaling.georeference import write_georeference
-from vo.runs.scaling.moved_path import move_by_positions
 from vo.runs.scaling.scale_sources import ScaleSources
+
+if TYPE_CHECKING:
+    from vo.engine.markers.marker_problem import MarkerView
 
 
 class RunScale:
@@ -69,10 +70,14 @@ class RunScale:
             notes += new.notes
             self.findings = replace(self.findings, world_frames=new.frames)
         if self._sources.moves is not None and map_alignment.map_use is None:
+            from vo.runs.scaling.moved_path import move_by_positions
+
             loops = map_alignment.accepted_loops
             uses = move_by_positions(store, self._sources.moves, loops)
             self.findings = replace(self.findings, positions=tuple(uses))
         if self._sources.on_globe is not None:
+            from vo.runs.scaling.georeference import write_georeference
+
             notes += write_georeference(folder, store.path(), self._sources.on_globe)
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))
 

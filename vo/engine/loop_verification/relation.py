@@ -220,32 +220,31 @@ def _normal_equations(
     Errors of `limit` or more, squared, have no weight.
     """
     normal, right, squared = np.zeros((7, 7)), np.zeros(7), np.empty(len(pairs.earlier))
-    fields = (np.ascontiguousarray(field, np.float64) for field in pairs)
-    back = sim3.inverse(relation)
-    _add_pairs(relation, back, _OPPOSITE, *fields, *cameras, limit, normal, right, squared)
+    given = LandmarkPairs(*(np.ascontiguousarray(field, np.float64) for field in pairs))
+    motions = relation, sim3.inverse(relation), _OPPOSITE
+    _add_pairs(motions, given, cameras, limit, normal, right, squared)
     return normal, right, squared
 
 
 @compiled
-def _add_pairs(  # type: ignore[no-untyped-def]
-    relation, back, opposite, earlier, later, earlier_xy, later_xy, earlier_sigma, later_sigma,
-    sigma_px, camera_e, camera_l, limit, normal, right, squared,
-):  # fmt: skip
+def _add_pairs(motions, pairs, cameras, limit, normal, right, squared):  # type: ignore[no-untyped-def]
     """Sum the normal equations of all pairs; their squared errors, the larger of both images.
 
     relation @ exp(xi) moves a point p of the later frame by r x p + t + l p, and back(p) by the
     opposite.
     """
+    relation, back, opposite = motions
+    earlier, later, earlier_xy, later_xy, earlier_sigma, later_sigma, sigma_px = pairs
     rows, at = np.empty((2, 7)), np.empty(3)
     for n in range(len(earlier)):
         forward = _add_projection(
             *(relation, later[n], relation, later[n], earlier_xy[n], later_sigma[n]),
-            *(sigma_px[n], camera_e, limit, rows, normal, right),
+            *(sigma_px[n], cameras[0], limit, rows, normal, right),
         )
         at[0], at[1], at[2] = to_camera(back, earlier[n, 0], earlier[n, 1], earlier[n, 2])
         backward = _add_projection(
             *(back, earlier[n], opposite, at, later_xy[n], earlier_sigma[n]),
-            *(sigma_px[n], camera_l, limit, rows, normal, right),
+            *(sigma_px[n], cameras[1], limit, rows, normal, right),
         )
         squared[n] = max(forward, backward)
 

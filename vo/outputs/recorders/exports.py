@@ -11,8 +11,6 @@ from pathlib import Path
 from vo.base.errors import OutputError
 from vo.base.files.complete_file import is_full_disk
 from vo.base.types import Estimate, Rig, Trajectory
-from vo.outputs.recorders.background import BackgroundRecorder
-from vo.outputs.recorders.reconstruction import Reconstruction
 from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, Recorder, TakeSnapshot
 
 _log = logging.getLogger(__name__)
@@ -39,6 +37,10 @@ class Exports:
 
     def recorders(self) -> list[Recorder]:
         """One recorder for each requested file."""
+        if not any(self.files.values()):
+            return []
+        from vo.outputs.recorders.reconstruction import Reconstruction
+
         recorders: list[Recorder] = []
         store = Reconstruction()
         if self.mcap is not None:
@@ -65,6 +67,8 @@ def with_exports(recorder: Recorder, exports: Exports, *, may_drop: bool = False
     others = exports.recorders()
     if not others:
         return recorder
+    from vo.outputs.recorders.background import BackgroundRecorder
+
     return SeveralRecorders(
         [recorder, BackgroundRecorder(SeveralRecorders(others), may_drop=may_drop)]
     )

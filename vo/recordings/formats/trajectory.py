@@ -13,7 +13,6 @@ from vo.base.errors import OutputError, SourceError
 from vo.base.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
 from vo.base.printable import counted
 from vo.base.types import Floats, Ints, Trajectory
-from vo.recordings.formats.calibration.nerf import read_nerf_poses
 from vo.recordings.formats.stamp_units import POSES, StampText, StampUnit, parse_stamps
 from vo.recordings.formats.table import (
     Line,
@@ -163,6 +162,8 @@ def read_nerf(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
 
     `stamps_ns`: (N,) stamps of the poses; by default pose i gets i seconds.
     """
+    from vo.recordings.formats.calibration.nerf import read_nerf_poses
+
     poses = [image.world_from_cam for image in read_nerf_poses(path)]
     return Trajectory(_or_whole_seconds(path, stamps_ns, len(poses)), np.stack(poses))
 
@@ -196,7 +197,7 @@ def stamps_beside(path: Path | str) -> Ints | None:
         return None
     stamps_ns = read_kitti_times(times)
     is_nerf = detect_format(path) == "nerf"
-    count = len(read_nerf_poses(path)) if is_nerf else len(read_table(Path(path)))
+    count = len(read_nerf(path).stamps_ns) if is_nerf else len(read_table(Path(path)))
     if len(stamps_ns) != count:
         _log.warning("%s has %d stamps for %d poses: not used", times, len(stamps_ns), count)
         return None

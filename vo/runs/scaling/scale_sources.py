@@ -5,16 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.errors import ConfigError, SourceError
 from vo.base.records.metric_scale import ScaleSource
 from vo.recordings.sources.source import FrameStream, Recording
-from vo.runs.scaling.height_source import HeightSource
-from vo.runs.scaling.position_source import PositionSource
-from vo.runs.scaling.positions import read_positions
-from vo.tools.markers.marker_map import read_marker_map
-from vo.tools.markers.scale_source import MarkerSource
+
+if TYPE_CHECKING:  # a run imports what it is given: together they take 30 ms
+    from vo.runs.scaling.position_source import PositionSource
+    from vo.tools.markers.scale_source import MarkerSource
 
 _MAX_HEIGHT_M = 100.0
 _MAX_ARM_M = 50.0
@@ -86,11 +85,7 @@ def make_scale_sources(
                 "`height_m` is for one camera: this recording is in metres already (`mode=mono` "
                 "leaves the right camera out)"
             )
-        if not 0.0 < options.height_m <= _MAX_HEIGHT_M:
-            raise ConfigError(
-                f"`height_m` is {options.height_m:g}; give metres above the ground, such as 1.65"
-            )
-        others = (HeightSource(options.height_m), *others)
+        others = (_height_source(options.height_m), *others)
     given = options.positions if options.gps is None else options.gps
     if given is None:
         if options.georeference:
@@ -101,6 +96,9 @@ def make_scale_sources(
             raise ConfigError("`lever_arm_m` is for the positions of `gps`; give both")
         return ScaleSources(tuple(others), markers=markers)
     _check_gps(options)
+    from vo.runs.scaling.position_source import PositionSource
+    from vo.runs.scaling.positions import read_positions
+
     positions = read_positions(given, recording).shifted(options.offset_ns)
     if options.georeference and positions.origin is None:
         raise ConfigError(
@@ -118,6 +116,14 @@ def make_scale_sources(
         source if options.georeference else None,
         markers,
     )
+
+
+def _height_source(height_m: float) -> ScaleSource:
+    from vo.runs.scaling.height_source import HeightSource
+
+    if not 0.0 < height_m <= _MAX_HEIGHT_M:
+        raise ConfigError(f"`height_m` is {height_m:g}; give metres above the ground, such as 1.65")
+    return HeightSource(height_m)
 
 
 def _check_gps(options: ScaleOptions) -> None:
@@ -139,6 +145,8 @@ def _lever_arm(options: ScaleOptions) -> tuple[float, float, float]:
 
 def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
     length_m, dictionary = options.marker_length_m, options.marker_dictionary
+    if options.marker_map is not None or length_m is not None:
+        from vo.tools.markers.scale_source import MarkerSource
     if options.marker_map is not None:
         if length_m is not None:
             raise ConfigError("markers have one side, or a map with sides; give one of them")
@@ -149,6 +157,8 @@ def _markers(options: ScaleOptions, *, is_metric: bool) -> MarkerSource | None:
                 "`georeference` places the path by positions, and a map of markers in its frame; "
                 "leave one of them out"
             )
+        from vo.tools.markers.marker_map import read_marker_map
+
         known = read_marker_map(options.marker_map)
         return MarkerSource(known, dictionary, is_metric=is_metric)
     if length_m is not None:

@@ -5,29 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from vo.base.errors import CalibrationError
-from vo.recordings.formats.calibration import (
-    camodocal,
-    colmap,
-    depthai,
-    dso,
-    euroc,
-    kalibr,
-    kitti,
-    matrix,
-    nerf,
-    opencv,
-    opensfm,
-    orb_slam,
-    own,
-    rigs,
-    ros,
-    stella_vslam,
-    zed,
-)
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
@@ -38,34 +20,52 @@ from vo.recordings.formats.calibration.document import (
 
 
 class CalibrationFormat(NamedTuple):
-    """A file format: its detection, and its reader, given the size of the images."""
+    """A file format: the module of its functions, loaded when it is asked, and their ending."""
 
-    recognises: Callable[[Document], bool]
-    read: Callable[[Document, ImageSize | None], Calibration]
+    module: str
+    ending: str = ""
+
+    def recognises(self, document: Document) -> bool:
+        """Whether a file is of this format."""
+        return bool(self._function("recognises")(document))
+
+    def read(self, document: Document, image_size: ImageSize | None) -> Calibration:
+        """Read a file of this format."""
+        calibration: Calibration = self._function("read")(document, image_size)
+        return calibration
+
+    def _function(self, name: str) -> Callable[..., Any]:
+        function: Callable[..., Any] = getattr(self.loaded, name + self.ending)
+        return function
+
+    @property
+    def loaded(self) -> Any:
+        """The module."""
+        return import_module(f"vo.recordings.formats.calibration.{self.module}")
 
 
 # Checked in this order, the more specific formats first.
 FORMATS: dict[str, CalibrationFormat] = {
-    "KITTI raw": CalibrationFormat(kitti.recognises_raw, kitti.read_raw),
-    "KITTI": CalibrationFormat(kitti.recognises, kitti.read),
-    "COLMAP": CalibrationFormat(colmap.recognises, colmap.read),
-    "ZED": CalibrationFormat(zed.recognises, zed.read),
-    "Basalt": CalibrationFormat(rigs.recognises_basalt, rigs.read_basalt),
-    "DepthAI": CalibrationFormat(depthai.recognises, depthai.read),
-    "NeRF": CalibrationFormat(nerf.recognises, nerf.read),
-    "OpenSfM": CalibrationFormat(opensfm.recognises, opensfm.read),
-    "SVO or maplab": CalibrationFormat(rigs.recognises_maplab, rigs.read_maplab),
-    "OKVIS": CalibrationFormat(rigs.recognises_okvis, rigs.read_okvis),
-    "camodocal": CalibrationFormat(camodocal.recognises, camodocal.read),
-    "stella_vslam": CalibrationFormat(stella_vslam.recognises, stella_vslam.read),
-    "ORB-SLAM3": CalibrationFormat(orb_slam.recognises, orb_slam.read),
-    "ROS camera_info": CalibrationFormat(ros.recognises, ros.read),
-    "OpenCV": CalibrationFormat(opencv.recognises, opencv.read),
-    "Kalibr": CalibrationFormat(kalibr.recognises, kalibr.read),
-    "EuRoC": CalibrationFormat(euroc.recognises, euroc.read),
-    "Camera matrix": CalibrationFormat(matrix.recognises, matrix.read),
-    "DSO": CalibrationFormat(dso.recognises, dso.read),
-    "vo": CalibrationFormat(own.recognises, own.read),
+    "KITTI raw": CalibrationFormat("kitti", "_raw"),
+    "KITTI": CalibrationFormat("kitti"),
+    "COLMAP": CalibrationFormat("colmap"),
+    "ZED": CalibrationFormat("zed"),
+    "Basalt": CalibrationFormat("rigs", "_basalt"),
+    "DepthAI": CalibrationFormat("depthai"),
+    "NeRF": CalibrationFormat("nerf"),
+    "OpenSfM": CalibrationFormat("opensfm"),
+    "SVO or maplab": CalibrationFormat("rigs", "_maplab"),
+    "OKVIS": CalibrationFormat("rigs", "_okvis"),
+    "camodocal": CalibrationFormat("camodocal"),
+    "stella_vslam": CalibrationFormat("stella_vslam"),
+    "ORB-SLAM3": CalibrationFormat("orb_slam"),
+    "ROS camera_info": CalibrationFormat("ros"),
+    "OpenCV": CalibrationFormat("opencv"),
+    "Kalibr": CalibrationFormat("kalibr"),
+    "EuRoC": CalibrationFormat("euroc"),
+    "Camera matrix": CalibrationFormat("matrix"),
+    "DSO": CalibrationFormat("dso"),
+    "vo": CalibrationFormat("own"),
 }
 
 
@@ -116,5 +116,6 @@ def _load(path: Path) -> Document:
     if not isinstance(chain, str) or not beside.is_file():
         raise CalibrationError(f"{path}: {_OPENVINS_CHAIN} {shortened(chain)} does not exist")
     loaded = load_document(beside)
-    settings = {key: document.data[key] for key in (kalibr.OPENVINS_IMU,) if key in document.data}
+    imu = FORMATS["Kalibr"].loaded.OPENVINS_IMU
+    settings = {key: document.data[key] for key in (imu,) if key in document.data}
     return replace(loaded, data={**loaded.data, **settings})
