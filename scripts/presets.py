@@ -23,6 +23,7 @@ TITLES = {
     "# `vo run … --config mine.yaml`.",
     "fast": "For speed: fewer features and landmarks, a smaller window.",
     "accurate": "For accuracy: more features and landmarks, a larger window.",
+    "best": "Offline, for the most accurate path: an adjustment of the whole path at the end.",
 }
 CHANGES: dict[str, dict[str, Any]] = {
     "default": {},
@@ -51,6 +52,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "smoothing.max_landmarks": 1600,
     },
 }
+CHANGES["best"] = CHANGES["accurate"] | {"patches.half_px": 4, "refinement.rounds": 3}
 BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 

@@ -18,7 +18,7 @@ from vo.base.config import Config, SmoothingConfig, dump_config, load_config, pr
 from vo.base.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]
-PRESETS = ("accurate", "default", "fast")
+PRESETS = ("accurate", "best", "default", "fast")
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_wrong_files(tmp_path: Path, text: str, complaint: str) -> None:
 def test_missing_files_and_unknown_presets(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"none\.yaml does not exist"):
         load_config(tmp_path / "none.yaml")
-    with pytest.raises(ConfigError, match="accurate, default, fast.*did you mean 'accurate'"):
+    with pytest.raises(ConfigError, match="accurate, best, default, fast.*did you mean 'accurate'"):
         load_config("acurate")
 
 

@@ -177,7 +177,7 @@ def completed(tmp_path: Path, *words: str) -> list[str]:
         (["de"], ["demo"]),
         (["run", "--fo"], ["--format", "--follow"]),
         (["run", "--mode", ""], ["auto", "mono", "stereo"]),
-        (["run", "x", "--config", ""], ["accurate", "default", "fast"]),
+        (["run", "x", "--config", ""], ["accurate", "best", "default", "fast"]),
         (["convert", "x", "y", "--to", "m"], ["mcap", "mcap-ros2"]),
         (["info", "x", "--format", "kitti"], ["kitti", "kitti_raw"]),
         (["features", "x", "--detector", "k"], ["kaze"]),

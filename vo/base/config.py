@@ -212,13 +212,20 @@ class SmoothingConfig(Section):
 
 
 class RefinementConfig(Section):
-    """Online calibration."""
+    """Online calibration, and adjustment at the end."""
 
     disparity_correction: bool = Field(
         True, description="stereo: estimate and correct a disparity bias, constant or curved"
     )
     lens_correction: bool = Field(
         True, description="estimate and correct an error of the lens, in stereo of both lenses"
+    )
+    rounds: int = Field(
+        0,
+        ge=0,
+        le=20,
+        description="at the end, rounds of a search for all landmarks in all keyframes, each with "
+        "an adjustment of the whole path; 0 for none (docs/accuracy.md)",
     )
 
 

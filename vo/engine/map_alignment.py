@@ -1,4 +1,4 @@
-"""What places keyframes in the map frame: closed loops, an inertial sensor, or both."""
+"""What places keyframes in the map frame: loops, an inertial sensor, and a final adjustment."""
 
 from __future__ import annotations
 
@@ -17,15 +17,22 @@ from vo.engine.trajectory.store import TrajectoryStore
 
 if TYPE_CHECKING:  # many runs need neither
     from vo.engine.inertial_path.alignment import InertialAlignment
+    from vo.engine.memory.final_adjustment import FinalAdjustment
     from vo.engine.memory.memory import Memory
 
 
 class MapAlignment:
     """Works beside tracking, without changing it; without memory and sensor it does nothing."""
 
-    def __init__(self, memory: Memory | None, inertial: InertialAlignment | None) -> None:
+    def __init__(
+        self,
+        memory: Memory | None,
+        inertial: InertialAlignment | None,
+        final: FinalAdjustment | None = None,
+    ) -> None:
         self._memory = memory
         self._inertial = inertial
+        self._final = final
 
     @property
     def closed_loops(self) -> tuple[ClosedLoop, ...]:
@@ -77,6 +84,8 @@ class MapAlignment:
             self._inertial.forget_from(frame_index)
         if self._memory is not None:
             self._memory.forget_from(frame_index)
+        if self._final is not None:
+            self._final.forget_from(frame_index)
 
     def finish(self, local_map: LocalMap) -> None:
         """After the last frame: take in the keyframes of the local map, and apply all results."""
@@ -86,6 +95,11 @@ class MapAlignment:
             self._memory.finish(local_map)
         if self._inertial is not None:
             self._inertial.fill_gaps()
+        if self._final is not None:
+            unsure = set() if self._memory is None else self._memory.unsure_worlds
+            moved = self._final.finish(local_map, self.accepted_loops, unsure)
+            if self._memory is not None:
+                self._memory.adjusted += moved
 
     def path_before_loops(self, store: TrajectoryStore, *, in_metres: bool) -> Trajectory:
         """The path before all loops, after `finish`: each segment in a world of its own.

@@ -52,6 +52,7 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:
     from vo.engine.inertial_path.alignment import InertialAlignment
+    from vo.engine.memory.final_adjustment import FinalAdjustment
     from vo.engine.memory.memory import Memory
 
 
@@ -124,7 +125,8 @@ def make_stages(
     predictor = _predictor(reader, components.inertial_noise, rectified)
     inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
-    stores = [each for each in (components.keyframe_store, memory) if each is not None]
+    final = _final(rectified, config, trajectory, stopwatch, inertial)
+    stores = [each for each in (components.keyframe_store, memory, final) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or _motion(reader, predictor, rectified)
@@ -141,7 +143,7 @@ def make_stages(
     rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
     initializers = _initializers(local_map, mapper, frontend, config, predictor)
     creator = MapCreator(local_map, *initializers, rescue, tracker, updater, trajectory)
-    map_alignment = MapAlignment(memory, inertial)
+    map_alignment = MapAlignment(memory, inertial, final)
     losses = LossPolicy(config.tracking.recover_frames, predictor)
     policy = _policy(config, is_metric=rig.is_metric)
     return Stages(
@@ -190,6 +192,21 @@ def _memory(
 
     threads = config.threads or available_cores()
     return make_memory(rig, descriptors, config, trajectory, stopwatch, threads, inertial)
+
+
+def _final(
+    rig: RectifiedRig,
+    config: Config,
+    trajectory: TrajectoryBuilder,
+    stopwatch: Stopwatch,
+    inertial: InertialAlignment | None,
+) -> FinalAdjustment | None:
+    """Not in a map, nor where an inertial sensor has a part in the shape of the path."""
+    if config.refinement.rounds == 0 or config.memory.map or (inertial and not rig.is_metric):
+        return None
+    from vo.engine.memory.final_adjustment import FinalAdjustment
+
+    return FinalAdjustment(trajectory, config, stopwatch)
 
 
 def _predictor(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised
-from vo.base.types import Floats, Ints
+from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.residuals import residuals
 from vo.engine.backend.window_problem import WindowProblem
@@ -51,23 +51,24 @@ class AdjustedPath(NamedTuple):
 
 
 def adjust_path(
-    problem: WindowProblem, motions: Motions, config: SmoothingConfig
+    problem: WindowProblem,
+    motions: Motions,
+    config: SmoothingConfig,
+    min_decrease: float = _MIN_DECREASE,
 ) -> AdjustedPath | None:
     """Optimise all poses but the first, and all points; None where nothing can be optimised.
 
-    The fixed poses and further factors of the problem are ignored.
+    The fixed poses and further factors of the problem are ignored. Steps end at a relative decrease
+    of the cost; the damping, which slows a drift of the scale, is less where that is.
     """
-    count = len(problem.world_from_cam)
-    _, depth = residuals(problem, problem.world_from_cam, problem.points)
-    usable = np.bincount(problem.point, minlength=len(problem.points)) >= 2
-    usable[problem.point[~(depth > 0)]] = False
+    count, usable = len(problem.world_from_cam), _usable(problem)
     if count < 2 or not usable.any():
         return None
     bundle = Bundle(replace(problem, fixed=np.arange(count) == 0), usable, config)
     edges = _Edges(motions)
     poses = problem.world_from_cam
     cost = bundle.cost(poses) + edges.cost(poses)
-    damping = _FIRST_DAMPING
+    damping = least = _FIRST_DAMPING * min(min_decrease / _MIN_DECREASE, 1.0)
     for _ in range(_MAX_STEPS):
         normal = bundle.normal_equations(poses)
         hessian, gradient = edges.added_to(normal.hessian, normal.gradient, poses)
@@ -76,15 +77,34 @@ def adjust_path(
             moved = _moved(poses, _step(hessian, gradient, damping))
             new = bundle.cost(moved) + edges.cost(moved)
             if new < cost:
-                poses, cost, damping = moved, new, max(0.1 * damping, _FIRST_DAMPING)
+                poses, cost, damping = moved, new, max(0.1 * damping, least)
                 break
             damping *= 10.0
-        if before - cost <= _MIN_DECREASE * before:
+        if before - cost <= min_decrease * before:
             break
     points = bundle.points_for(poses)
     if not (np.isfinite(poses).all() and np.isfinite(points[usable]).all()):
         return None
     return AdjustedPath(poses, points)
+
+
+def k1_step(problem: WindowProblem, config: SmoothingConfig) -> float:
+    """How much larger k1 of the one camera is than that of the pixels, together with all poses."""
+    first = np.arange(len(problem.world_from_cam)) == 0
+    bundle = Bundle(replace(problem, fixed=first), _usable(problem), config)
+    normal = bundle.normal_equations(problem.world_from_cam, with_calibration=True)
+    size = 6 * (len(first) - 1) + 1
+    hessian = normal.hessian[:size, :size]
+    damped = hessian + 1e-9 * np.diag(np.diag(hessian))  # the scale of the path is free
+    return float(-np.linalg.solve(damped, normal.gradient[:size])[-1])
+
+
+def _usable(problem: WindowProblem) -> Bools:
+    """(M,) points that two keyframes observe, none of them from behind."""
+    _, depth = residuals(problem, problem.world_from_cam, problem.points)
+    usable = np.bincount(problem.point, minlength=len(problem.points)) >= 2
+    usable[problem.point[~(depth > 0)]] = False
+    return usable
 
 
 class _Edges:

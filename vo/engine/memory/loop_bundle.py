@@ -91,28 +91,15 @@ class LoopBundle:
             loops: that the pose graph accepts; those of other worlds are ignored.
         """
         stored = self._observations(registered.keys)
-        row = {key: n for n, key in enumerate(registered.keys)}
-        ends = [(row.get(loop.earlier), row.get(loop.later), loop) for loop in loops]
-        scale = registered.scale
-        inside = [(a, b, loop) for a, b, loop in ends if a is not None and b is not None]
-        motions = [_motion(loop, a, b, scale[a], scale[b]) for a, b, loop in inside]
-        if stored is None or not motions:
+        scale, inside = registered.scale, loops_inside(registered, loops)
+        if stored is None or not inside:
             return None
         problem = self._problem(stored, registered.world_from_cam, scale)
-        measured = Motions(*(np.array(each) for each in zip(*motions, strict=True)))
-        found = adjust_path(problem, measured, self._config)
+        found = adjust_path(problem, measured_motions(inside, scale), self._config)
         if found is None:
             return None
-        world_from_cam = found.world_from_cam.copy()
-        unit = _length(problem.world_from_cam) / _length(world_from_cam)
-        first = world_from_cam[0, :3, 3].copy()
         before = np.concatenate([s * each.xyz[:, 2] for s, each in zip(scale, stored, strict=True)])
-        world_from_cam[:, :3, 3] = first + unit * (world_from_cam[:, :3, 3] - first)
-        scale = scale * unit * _depth_ratios(problem, found, before)
-        allowed = max(_MAX_MORE_SCALE * _scale_error(registered.scale, inside), _MIN_SCALE_ERROR)
-        if _scale_error(scale, inside) > allowed:
-            return None
-        return replace(registered, world_from_cam=world_from_cam, scale=scale)
+        return with_scale_kept(registered, problem, found, before, inside)
 
     def _observations(self, keys: Sequence[PlaceKey]) -> list[_Observations] | None:
         """Observations of all keyframes of a world; None where there are too many, or none."""
@@ -148,6 +135,48 @@ class LoopBundle:
             sigma_px=np.concatenate([each.sigma_px for each in stored]).astype(np.float64),
             estimates_calibration=False,
         )
+
+
+def loops_inside(
+    registered: RegisteredKeyframes, loops: Sequence[Loop]
+) -> list[tuple[int, int, Loop]]:
+    """Rows of the earlier and the later keyframe of loops, of those that have both."""
+    row = {key: n for n, key in enumerate(registered.keys)}
+    ends = [(row.get(loop.earlier), row.get(loop.later), loop) for loop in loops]
+    return [(a, b, loop) for a, b, loop in ends if a is not None and b is not None]
+
+
+def measured_motions(loops: Sequence[tuple[int, int, Loop]], scale: Floats) -> Motions:
+    """Those of loops, in the unit of the world; none without loops."""
+    motions = [_motion(loop, a, b, scale[a], scale[b]) for a, b, loop in loops]
+    if not motions:
+        nothing = np.empty(0, np.int64)
+        return Motions(nothing, nothing, np.empty((0, 4, 4)), np.empty((0, 6, 6)))
+    return Motions(*(np.array(each) for each in zip(*motions, strict=True)))
+
+
+def with_scale_kept(
+    registered: RegisteredKeyframes,
+    problem: WindowProblem,
+    found: AdjustedPath,
+    before: Floats,
+    loops: Sequence[tuple[int, int, Loop]],
+) -> RegisteredKeyframes | None:
+    """Adjusted keyframes of one camera, whose path keeps its length.
+
+    None where they contradict the scales of loops more than the pose graph does. `before`: (N,)
+    depths of the problem's observations.
+    """
+    world_from_cam = found.world_from_cam.copy()
+    unit = _length(problem.world_from_cam) / _length(world_from_cam)
+    first = world_from_cam[0, :3, 3].copy()
+    world_from_cam[:, :3, 3] = first + unit * (world_from_cam[:, :3, 3] - first)
+    scale = registered.scale * unit * _depth_ratios(problem, found, before)
+    if loops:
+        allowed = max(_MAX_MORE_SCALE * _scale_error(registered.scale, loops), _MIN_SCALE_ERROR)
+        if _scale_error(scale, loops) > allowed:
+            return None
+    return replace(registered, world_from_cam=world_from_cam, scale=scale)
 
 
 def _motion(

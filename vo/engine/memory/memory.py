@@ -42,6 +42,7 @@ class Memory:
         markers: connects keyframes that see the same marker.
         loops: that were found, and what became of them.
         in_map: where the run is in the loaded map.
+        adjusted: keyframes of worlds after an adjustment at the end.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Memory:
         self._trajectory = trajectory
         self._inertial = inertial
         self._bundle = bundle
-        self._adjusted: list[RegisteredKeyframes] = []  # worlds after the adjustment
+        self.adjusted: list[RegisteredKeyframes] = []
         self._wrong: tuple[PlaceKey, ...] = ()  # see `RegisteredKeyframes`
         self._future: Future[Recognised] | None = None  # of the newest stored keyframe
         self._segment = 0  # of the newest frame
@@ -174,7 +175,7 @@ class Memory:
         registered = self._result()
         if self._inertial is not None:
             registered = self._inertial.map_poses.to_metres(registered, self._maker.session)
-        registered, metric = with_adjusted(registered, self._adjusted), set[int]()
+        registered, metric = with_adjusted(registered, self.adjusted), set[int]()
         if not self._maker.is_metric:
             frames = enumerate(self.loops.frames.get(key) for key in registered.keys)
             segments = {row: frame.segment for row, frame in frames if frame is not None}
@@ -189,6 +190,13 @@ class Memory:
         self._recogniser.close()
         self._graph.close()
 
+    @property
+    def unsure_worlds(self) -> set[int]:
+        """Worlds that are not adjusted: with wrong odometry, or in a loaded map."""
+        frames, world_of = self.loops.frames, self._trajectory.store.world
+        wrong = {world_of(frames[key].segment) for key in self._wrong if key in frames}
+        return wrong | set(self.in_map.met)
+
     def _adjust(self, bundle: LoopBundle) -> None:
         """Adjust the worlds with loops once more, by all observations, unless some are wrong."""
         loops, frames, world_of = (
@@ -198,12 +206,11 @@ class Memory:
         )
         worlds = {world_of(frames[loop.later].segment) for loop in loops}
         session = self._maker.session
-        worlds -= {world_of(frames[key].segment) for key in self._wrong if key in frames}
-        for world in sorted(worlds - set(self.in_map.met)):
+        for world in sorted(worlds - self.unsure_worlds):
             registered = bundle.adjusted(self._trajectory.registered(world, session), loops)
             if registered is not None:
                 self._trajectory.move_keyframes(registered, session)
-                self._adjusted.append(registered)
+                self.adjusted.append(registered)
 
     def _apply_recognised(self) -> None:
         """Wait for the results of all searches."""

@@ -1,0 +1,218 @@
+"""Adjustment of whole paths at the end of a run, by landmarks searched anew in all keyframes.
+
+Each round searches every landmark in every keyframe, with the poses of the round before, and
+optimises all poses and landmarks (docs/experiments/best.md). Paths that are not connected by
+landmarks stay as they are, as do those of cameras with a rolling shutter.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import Config
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.geometry.transforms import inverse, transform_points
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Bytes, Floats, Ints
+from vo.engine.backend.loop_adjustment import AdjustedPath, adjust_path, k1_step
+from vo.engine.backend.residuals import residuals, with_measured_noise
+from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.frontend.patch_alignment import PatchAligner
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.keyframe_store import StoredLandmarks
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.memory.loop_bundle import loops_inside, measured_motions, with_scale_kept
+from vo.engine.memory.rematching import PathViews, rematched
+from vo.engine.places.records import Loop, RegisteredKeyframes
+from vo.engine.trajectory.builder import TrajectoryBuilder
+
+_log = logging.getLogger(__name__)
+# Normal equations are dense, and images stay in memory.
+_MAX_KEYFRAMES = 800
+_MIN_KEYFRAMES = 3
+_SESSION = 0  # there is no adjustment in a loaded map
+_MIN_SHARED = 20  # landmarks that a keyframe shares with those before it
+_MIN_DECREASE = 1e-6  # of the cost: with 1e-4 steps end before a drift of the scale is gone
+# Residuals in standard deviations above which observations are dropped, after a round and after
+# the last one.
+_GATE, _LAST_GATE = 4.0, 0.6
+
+
+class _Stored(NamedTuple):
+    """A keyframe; rows of landmarks and observations belong together.
+
+    Attributes:
+        xyz: (n, 3) landmarks in the frame of the keyframe.
+        normal: (n, 3) of their surfaces, likewise.
+    """
+
+    keyframe: Keyframe
+    image: Bytes
+    landmark: Ints
+    xyz: Floats
+    normal: Floats
+    image_xy: Floats
+    disparity: Floats
+    sigma_px: Floats
+
+
+class FinalAdjustment:
+    """Keeps all keyframes with their images, and adjusts paths at the end; a `KeyframeStore`."""
+
+    def __init__(self, trajectory: TrajectoryBuilder, config: Config, stopwatch: Stopwatch) -> None:
+        self.stopwatch = stopwatch
+        self._trajectory = trajectory
+        self._config = config
+        self._patches = PatchAligner(config.patches)
+        self._stored: dict[int, _Stored] | None = {}
+        self._is_finished = False
+
+    def add(
+        self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
+    ) -> None:
+        """Keep a keyframe, its image and what it observes."""
+        if self._is_finished or self._stored is None:
+            return
+        if len(self._stored) == _MAX_KEYFRAMES:
+            _log.warning(
+                "there are more than %d keyframes, too many for the adjustment of the whole path "
+                "at the end, which is left out",
+                _MAX_KEYFRAMES,
+            )
+            self._stored = None
+            return
+        known = landmarks()
+        order = np.argsort(keyframe.landmark)
+        order = order[np.isin(keyframe.landmark[order], known.id, assume_unique=True)]
+        cam_from_world = inverse(keyframe.world_from_cam)
+        self._stored[keyframe.id] = _Stored(
+            keyframe,
+            image.copy(),
+            known.id,
+            transform_points(cam_from_world, known.xyz),
+            known.normal @ cam_from_world[:3, :3].T,
+            keyframe.image_xy[order],
+            keyframe.disparity[order],
+            keyframe.sigma_px[order],
+        )
+
+    def forget_from(self, frame_index: int) -> None:
+        """Forget keyframes of a frame and those after it, which are tracked anew."""
+        if self._stored is not None:
+            kept = {k: s for k, s in self._stored.items() if s.keyframe.frame.index < frame_index}
+            self._stored = kept
+
+    @timed("adjustment")
+    def finish(
+        self, local_map: LocalMap, loops: Sequence[Loop], unsure: set[int]
+    ) -> list[RegisteredKeyframes]:
+        """Adjust the paths of all worlds but the unsure ones; those that were moved."""
+        local_map.hand_over([self])
+        self._is_finished = True
+        stored, self._stored = self._stored or {}, {}
+        moved = []
+        world_of = self._trajectory.store.world
+        segments = {each.keyframe.frame.segment for each in stored.values()}
+        for world in sorted({world_of(segment) for segment in segments} - unsure):
+            registered = self._trajectory.registered(world, _SESSION)
+            keys = [key.keyframe for key in registered.keys]
+            if len(keys) < _MIN_KEYFRAMES or any(key not in stored for key in keys):
+                continue
+            adjusted = self._adjusted(registered, [stored[key] for key in keys], local_map, loops)
+            if adjusted is not None:
+                self._trajectory.move_keyframes(adjusted, _SESSION)
+                moved.append(adjusted)
+        return moved
+
+    def _adjusted(
+        self,
+        registered: RegisteredKeyframes,
+        stored: Sequence[_Stored],
+        local_map: LocalMap,
+        loops: Sequence[Loop],
+    ) -> RegisteredKeyframes | None:
+        """The keyframes of a world after all rounds; None where they are to stay."""
+        if any(each.keyframe.velocity is not None for each in stored):
+            return None
+        rig, rounds = local_map.rig, self._config.refinement.rounds
+        smoothing = self._config.smoothing
+        has_lens_error = rig.k1_error != 0.0 and not rig.is_metric
+        inside = loops_inside(registered, loops)
+        motions = measured_motions(inside, registered.scale)
+        measured = views = _views(registered, stored)
+        for number in range(rounds + 1):
+            if number < rounds:
+                views = rematched(views, measured, rig, self._patches)
+            if not _is_connected(views):
+                return None
+            found = adjust_path(
+                with_measured_noise(self._problem(views, rig)),
+                motions,
+                smoothing,
+                _MIN_DECREASE,
+            )
+            if found is None:
+                return None
+            change = np.linalg.norm((found.world_from_cam - views.world_from_cam)[:, :3, 3], axis=1)
+            views = replace(views, world_from_cam=found.world_from_cam, points=found.points)
+            _log.info(
+                "whole path, adjustment %d of %d: %d observations, moved by %.2g (largest %.2g)",
+                *(number + 1, rounds + 1, len(views.point)),
+                *(float(np.sqrt(np.mean(change**2))), float(change.max())),
+            )
+            if number < rounds:
+                if has_lens_error:
+                    step = k1_step(with_measured_noise(self._problem(views, rig)), smoothing)
+                    rig = rig.with_k1_error(rig.k1_error + step)
+                off, _ = residuals(self._problem(views, rig), views.world_from_cam, views.points)
+                gate = _GATE if number < rounds - 1 else _LAST_GATE
+                views = views.select(np.flatnonzero(off < gate))
+        if rig.is_metric:
+            return replace(registered, world_from_cam=views.world_from_cam)
+        depth = [s * each.xyz[:, 2] for s, each in zip(registered.scale, stored, strict=True)]
+        start, found = (
+            self._problem(measured, rig),
+            AdjustedPath(views.world_from_cam, views.points),
+        )
+        return with_scale_kept(registered, start, found, np.concatenate(depth), inside)
+
+    def _problem(self, views: PathViews, rig: RectifiedRig) -> WindowProblem:
+        return views.problem(rig, self._config.stereo.sigma_disparity_px)
+
+
+def _views(registered: RegisteredKeyframes, stored: Sequence[_Stored]) -> PathViews:
+    """What was observed while running; a landmark is where its newest keyframe has it."""
+    poses = registered.world_from_cam
+    xyz = [
+        transform_points(pose, unit * each.xyz)
+        for pose, unit, each in zip(poses, registered.scale.tolist(), stored, strict=True)
+    ]
+    normal = [each.normal @ pose[:3, :3].T for pose, each in zip(poses, stored, strict=True)]
+    landmark = np.concatenate([each.landmark for each in stored])
+    last, point = np.unique(landmark[::-1], return_index=True, return_inverse=True)[1:]
+    return PathViews(
+        np.stack([each.image for each in stored]),
+        [each.keyframe.mask for each in stored],
+        poses,
+        np.concatenate(xyz)[::-1][last],
+        np.concatenate(normal)[::-1][last],
+        np.repeat(np.arange(len(stored)), [len(each.landmark) for each in stored]),
+        np.ascontiguousarray(point[::-1]),
+        np.concatenate([each.image_xy for each in stored]),
+        np.concatenate([each.disparity for each in stored]),
+        np.concatenate([each.sigma_px for each in stored]),
+    )
+
+
+def _is_connected(views: PathViews) -> bool:
+    """Whether each keyframe shares enough landmarks with those before it."""
+    first = np.full(len(views.points), len(views.images))
+    np.minimum.at(first, views.point, views.keyframe)
+    again = views.keyframe[first[views.point] < views.keyframe]
+    shared = np.bincount(again, minlength=len(views.images))[1:]
+    return bool((shared >= _MIN_SHARED).all())
