@@ -125,7 +125,7 @@ def _observe(write: Callable[[str], Any]) -> None:
         state["stored"] += 1
         state["loops"] += len(found.loops)
         write(
-            f"{place.frame.index},{state['stored']},{len(recogniser._database)},{state['loops']},"
+            f"{place.frame.index},{state['stored']},{len(recogniser.database)},{state['loops']},"
             f"{spent:.4f},{state['poses']}\n"
         )
         return found

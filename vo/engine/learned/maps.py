@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import cv2
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.types import Bytes, Floats, Floats32, Ints, Keypoints
 
 MIN_SIDE_OF_32 = 33
@@ -64,18 +68,25 @@ def strongest(peaks: Floats32, count: int) -> tuple[Ints, Ints]:
     return v[order], u[order]
 
 
-def parabola_offsets(values: Floats | Floats32, v: Ints, u: Ints) -> Floats:
+def parabola_offsets(
+    values: Floats | Floats32,
+    v: Ints,
+    u: Ints,
+    of: Callable[[Any], Any] = lambda near: near,
+) -> Floats:
     """(N, 2) x, y from maxima to the vertices of parabolas through them and their neighbours.
 
-    At most half a pixel, 0 at the border.
+    At most half a pixel, 0 at the border. `of`: function of the values that is like a parabola.
     """
     height, width = values.shape
     offsets = np.zeros((len(u), 2))
     for axis, (dv, du, limit, at) in enumerate(((0, 1, width, u), (1, 0, height, v))):
         inside = np.flatnonzero((at > 0) & (at < limit - 1))
         y, x = v[inside], u[inside]
-        before, after = (values[y + s * dv, x + s * du].astype(np.float64) for s in (-1, 1))
-        curvature = before - 2.0 * values[y, x] + after
+        before, peak, after = (
+            of(values[y + s * dv, x + s * du]).astype(np.float64) for s in (-1, 0, 1)
+        )
+        curvature = before - 2.0 * peak + after
         with np.errstate(divide="ignore", invalid="ignore"):
             offset = 0.5 * (before - after) / curvature
         offsets[inside, axis] = np.where(curvature < -1e-9, offset.clip(-0.5, 0.5), 0.0)
@@ -132,18 +143,26 @@ def bicubic(values: Floats32, at: Floats) -> Floats:
     Source: Keys, "Cubic convolution interpolation for digital image processing", 1981.
     """
     first = np.floor(at).astype(np.int64) - 1
-    result = np.zeros((len(at), len(values)))
-    _, height, width = values.shape
     weights = _kernel(at[:, None, :] - (first[:, None, :] + np.arange(4)[None, :, None]))
-    for j in range(4):
-        v = first[:, 1] + j
-        for i in range(4):
-            u = first[:, 0] + i
-            inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-            weight = weights[:, i, 0] * weights[:, j, 1] * inside
-            taken = values[:, v.clip(0, height - 1), u.clip(0, width - 1)].T
-            result += weight[:, None] * taken
+    result = np.zeros((len(at), len(values)))
+    # All maps of a pixel side by side, so that they are read in one piece.
+    _add_weighted(np.ascontiguousarray(values.transpose(1, 2, 0)), first, weights, result)
     return result
+
+
+@compiled
+def _add_weighted(values, first, weights, result):  # type: ignore[no-untyped-def]
+    """Add the 4 x 4 values of maps (H, W, C) from `first` (N, 2) by weights (N, 4, 2)."""
+    height, width, channels = values.shape
+    for n in range(len(first)):
+        for j in range(4):
+            v = first[n, 1] + j
+            for i in range(4):
+                u = first[n, 0] + i
+                if 0 <= u < width and 0 <= v < height:
+                    weight = weights[n, i, 0] * weights[n, j, 1]
+                    for c in range(channels):
+                        result[n, c] += weight * values[v, u, c]
 
 
 def _kernel(distance: Floats) -> Floats:

@@ -93,8 +93,7 @@ def peak_offsets(heat: Floats32, v: Ints, u: Ints) -> Floats:
 
     Of the logarithm, whose peaks are nearly parabolas; at most half a pixel, 0 at the border.
     """
-    log = np.log(np.maximum(heat, 1e-6)).astype(np.float64)
-    return parabola_offsets(log, v, u)
+    return parabola_offsets(heat, v, u, lambda near: np.log(np.maximum(near, 1e-6)))
 
 
 XFEAT_OUTPUTS = ("feats", "heat", "rel")

@@ -23,7 +23,7 @@ from vo.engine.places.records import Candidate, Place, PlaceKey
 from vo.engine.places.spill import SpilledBlocks
 from vo.engine.places.vocabulary import Bag, Vocabulary, similarity
 
-MEMORY_BYTES = 512 * 2**20
+MEMORY_BYTES = 128 * 2**20
 _REDUNDANT = 0.9  # fraction of the landmarks, and by how many others they are observed
 _OBSERVERS = 3
 _NEIGHBOURS = 10  # keyframes of a segment that are stored before or after a query are no candidates
