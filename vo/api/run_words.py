@@ -68,6 +68,7 @@ class RunWords(SettingWords, total=False):
     source_name: str | None
     imu: bool
     gps: str | Path | None
+    wheel: str | Path | None
     scale_from: str | Path | None
     scale_offset: float
     lever_arm: Sequence[float] | None
@@ -105,6 +106,7 @@ _SETTINGS = {
 }
 _IN_SCALE = {
     "gps": "gps",
+    "wheel": "wheel",
     "scale_from": "positions",
     "scale_offset": "offset_ns",
     "lever_arm": "lever_arm_m",
@@ -176,7 +178,7 @@ def _scale(words: dict[str, Any]) -> dict[str, Any]:
     fields = {_IN_SCALE[name]: value for name, value in words.items()}
     if "offset_ns" in fields:
         fields["offset_ns"] = round(1e9 * fields["offset_ns"])
-    for name in ("gps", "positions"):
+    for name in ("gps", "wheel", "positions"):
         if fields.get(name) is not None:
             fields[name] = str(fields[name])
     arm = fields.get("lever_arm_m")

@@ -136,8 +136,15 @@ class Scale:
         default=None,
         metavar="FILE|AUTO",
     )
+    wheel: str | None = option(
+        "Wheel odometry: the scale of one camera, also along the path and with --gps. A log (or "
+        "LOG:/TOPIC), a CSV with speed and yaw_rate, poses of the base; auto: that in the "
+        "recording.",
+        default=None,
+        metavar="FILE|AUTO",
+    )
     scale_from: str | None = option(
-        "Mono: only the scale, from positions as for --gps, or wheel odometry.",
+        "Mono: only the scale, from positions as for --gps.",
         default=None,
         metavar="FILE|AUTO",
     )
@@ -199,6 +206,7 @@ class Scale:
         return ScaleOptions(
             positions=self.scale_from,
             gps=self.gps,
+            wheel=self.wheel,
             offset_ns=round(1e9 * self.scale_offset),
             georeference=self.georeference,
             height_m=self.height,

@@ -268,7 +268,8 @@ def _with_imu(opened: OpenedRun) -> tuple[OpenedRun, Components]:
     if opened.options.follow or not isinstance(stream, Recording) or not stream.imus:
         return opened, components
     sensor = stream.imus[0]
-    if opened.scale.all and not stream.rig.is_metric:
+    others = [each for each in opened.scale.all if each is not opened.scale.wheel]
+    if others and not stream.rig.is_metric:
         unused = InertialUse(sensor.name, "it cannot be combined with another source of the scale")
         return replace(opened, unused_imu=unused), components
     try:
@@ -294,7 +295,8 @@ def _opened(
         path = str(Path(source))
     recording = path if isinstance(source, str | Path) else None
     given = options.scale if options.gps is None else replace(options.scale, gps=options.gps)
-    scale = make_scale_sources(given, options.scale_sources, stream, recording)
+    sources = options.scale_sources
+    scale = make_scale_sources(given, sources, stream, recording, options.topics)
     return OpenedRun(stream, path, options.source_name or path, config, options, scale)
 
 

@@ -49,7 +49,7 @@ class RunScale:
         folder: Path,
         map_alignment: MapAlignment,
     ) -> None:
-        """Measure, convert the path, move it by positions, and write files of markers and globe.
+        """Measure, convert and move the path, and write the files of markers and of the globe.
 
         Raises:
             OutputError: one of them cannot be written.
@@ -59,7 +59,9 @@ class RunScale:
         path = store.path()
         self._unscaled = path.trajectory
         measured = [source.measure(path) for source in self._sources.all]
-        self.findings = without_metric(choose_scales(measured), store.metric.by_map)
+        metric = store.metric
+        found = choose_scales(measured)
+        self.findings = without_metric(found, metric.by_map, metric.worlds_by_sensor)
         if self.by_world:
             store.apply_scales(self.by_world)
         notes = list(map_alignment.notes)
@@ -69,12 +71,12 @@ class RunScale:
             store.turn_worlds(new.poses)
             notes += new.notes
             self.findings = replace(self.findings, world_frames=new.frames)
-        if self._sources.moves is not None and map_alignment.map_use is None:
-            from vo.runs.scaling.moved_path import move_by_positions
+        sensors = self._sources.moves, self._sources.wheel
+        if any(sensors) and map_alignment.map_use is None:
+            from vo.runs.scaling.moved_path import move_path
 
-            loops = map_alignment.accepted_loops
-            uses = move_by_positions(store, self._sources.moves, loops)
-            self.findings = replace(self.findings, positions=tuple(uses))
+            moved = move_path(store, *sensors, map_alignment.accepted_loops)
+            self.findings = replace(self.findings, positions=moved.positions, wheel=moved.wheel)
         if self._sources.on_globe is not None:
             from vo.runs.scaling.georeference import write_georeference
 

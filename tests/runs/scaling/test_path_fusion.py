@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import inverse, skew
 from vo.base.types import Floats
 from vo.engine.geometry import sim3
 from vo.runs.scaling.fit import fit_positions
 from vo.runs.scaling.path_errors import PathErrors
-from vo.runs.scaling.path_fusion import Fixes, FusedPath, LoopFactors, fuse_positions
+from vo.runs.scaling.path_factors import Fixes, Given, LoopFactors, WayFactors
+from vo.runs.scaling.path_fusion import FusedPath, fuse_path
 
 SECONDS, SPEED = 600.0, 8.33
 DROP_OUT = (300.0, 360.0)  # 60 s and 500 m
@@ -64,7 +66,9 @@ def make_drive(
     right /= np.linalg.norm(right, axis=1)[:, None]
     true_poses = np.tile(np.eye(4), (len(times), 1, 1))
     true_poses[:, :3, :3] = np.stack([right, np.cross(forward, right), forward], axis=2)
-    true_poses[:, :3, 3] = np.cumsum(speed[:, None] * forward, axis=0)
+    ahead = forward + np.vstack([forward[:1], forward[:-1]])  # on arcs
+    ahead /= np.linalg.norm(ahead, axis=1)[:, None]
+    true_poses[:, :3, 3] = np.cumsum(speed[:, None] * ahead, axis=0)
     given = _drifted(true_poses, drift, rng)
     slow = np.zeros((len(times), 3))
     for row in range(1, len(times)):
@@ -105,7 +109,7 @@ def _drifted(true_poses: Floats, drift: Drift, rng: np.random.Generator) -> Floa
 
 
 def fused(drive: Drive, loops: LoopFactors = NO_LOOPS, *, is_metric: bool = True) -> FusedPath:
-    found = fuse_positions(drive.poses, drive.fixes, loops, is_metric=is_metric)
+    found = fuse_path(drive.poses, drive.fixes, Given(loops, is_metric))
     assert found is not None
     return found
 
@@ -181,16 +185,13 @@ def test_exact_positions_are_followed_to_their_noise() -> None:
 def test_positions_of_another_path_move_nothing() -> None:
     drive, other = make_drive(0), make_drive(7)
     fixes = replace(drive.fixes, xyz=other.fixes.xyz)
-    found = fuse_positions(drive.poses, fixes, NO_LOOPS, is_metric=True)
+    found = fuse_path(drive.poses, fixes, Given(NO_LOOPS, True))
     assert found is None or not found.is_moved
 
 
 def test_few_positions_are_not_used() -> None:
     drive = make_drive(0)
-    assert (
-        fuse_positions(drive.poses, drive.fixes.rows(np.arange(8)), NO_LOOPS, is_metric=True)
-        is None
-    )
+    assert fuse_path(drive.poses, drive.fixes.rows(np.arange(8)), Given(NO_LOOPS, True)) is None
 
 
 def test_a_loop_holds_the_path_together() -> None:
@@ -202,7 +203,7 @@ def test_a_loop_holds_the_path_together() -> None:
     measured = inverse(drive.poses[450]) @ drive.poses[590]
     off, spread = [], []
     for loops in (loop, NO_LOOPS):
-        found = fuse_positions(drive.poses, fixes, loops, is_metric=True)
+        found = fuse_path(drive.poses, fixes, Given(loops, True))
         assert found is not None and found.is_moved
         related = inverse(found.poses[450]) @ found.poses[590]
         off.append(np.linalg.norm(related[:3, 3] - measured[:3, 3]))
@@ -224,3 +225,65 @@ def test_errors_of_poses_are_sums_of_errors_of_steps() -> None:
     point = poses[-1, :3, 3]
     by_error = skew(summed[-1, :3]) @ point + summed[-1, 3:6] + summed[-1, 6] * point
     np.testing.assert_allclose(moved[-1][:3, 3] - point, by_error, atol=1e-3)
+
+
+def wheel_ways(drive: Drive, noise: float, radius: float = 1.0) -> WayFactors:
+    """Ways of 8 s each, with relative errors."""
+    at, since = np.arange(8, 600, 8), np.arange(0, 592, 8)
+    motions = inverse(drive.true_poses[:-1]) @ drive.true_poses[1:]
+    length = np.linalg.norm(motions[:, :3, 3], axis=1)
+    angle = np.arccos(np.clip(0.5 * (np.trace(motions[:, :3, :3], axis1=1, axis2=2) - 1), -1, 1))
+    summed = np.r_[0.0, np.cumsum(length / np.sinc(0.5 * angle / np.pi))]
+    way = summed[at] - summed[since]
+    chords = (drive.true_poses[at] - drive.true_poses[since])[:, :3, 3]
+    errors = np.random.default_rng(5).normal(0.0, max(noise, 1e-300), len(way))
+    turned = np.r_[0.0, np.cumsum(angle)]
+    rows = (turned[at] - turned[since] < 0.35) & (np.linalg.norm(chords, axis=1) > 0.5 * way)
+    return WayFactors(
+        at[rows],
+        since[rows],
+        (radius * way * (1.0 + errors))[rows],
+        (way / np.linalg.norm(chords, axis=1))[rows],
+        np.diag((max(noise, 0.002) * way[rows]) ** 2),
+        0.015,
+    )
+
+
+def shape_error_m(drive: Drive, poses: Floats) -> float:
+    aligned = umeyama(poses[:, :3, 3], drive.true_poses[:, :3, 3], with_scale=True)
+    off = aligned.transform_points(poses[:, :3, 3]) - drive.true_poses[:, :3, 3]
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize(("noise", "largest"), [(0.0, 0.1), (0.004, 0.3)])
+def test_wheels_alone_hold_the_scale_of_one_camera(noise: float, largest: float) -> None:
+    drive = make_drive(1, NEARLY_NONE._replace(log_scale=2e-3))
+    ways = wheel_ways(drive, noise)
+    fixes = drive.fixes.rows(np.zeros(0, np.int64))
+    found = fuse_path(drive.poses, fixes, Given(NO_LOOPS, False, ways=ways))
+    assert found is not None and found.is_moved
+    before, after = (shape_error_m(drive, each) for each in (drive.poses, found.poses))
+    assert after < largest * before
+    np.testing.assert_array_less(0.0, np.linalg.eigvalsh(found.from_first[300, :6, :6]))
+
+
+def test_wheels_that_show_no_drift_move_nothing() -> None:
+    drive = make_drive(1, NEARLY_NONE._replace(log_scale=1e-5))
+    fixes = drive.fixes.rows(np.zeros(0, np.int64))
+    ways = wheel_ways(drive, 0.01)
+    found = fuse_path(drive.poses, fixes, Given(NO_LOOPS, False, ways=ways))
+    assert found is not None and not found.is_moved
+    np.testing.assert_allclose(found.poses, drive.poses, atol=1e-9)
+
+
+def test_wheels_of_a_wrong_radius_join_positions() -> None:
+    drive = make_drive(0, Drift(log_scale=2e-3))
+    ways = wheel_ways(drive, 0.004, 1.02)
+    without, joined = (
+        fuse_path(drive.poses, drive.fixes, Given(NO_LOOPS, False, ways=each))
+        for each in (None, ways)
+    )
+    assert without is not None and joined is not None and joined.is_moved
+    errors = [np.sqrt((errors_m(drive, each.poses) ** 2).mean()) for each in (without, joined)]
+    assert errors[1] < 0.8 * errors[0]
+    assert 0.2 < nees(drive, joined) < 3.0

@@ -91,6 +91,32 @@ class PositionUse(NamedTuple):
     sigma_deg: float | None = None
 
 
+class WheelUse(NamedTuple):
+    """What became of wheel odometry in one world of a run.
+
+    Attributes:
+        segment: number of the world: that of its first segment.
+        used: steps that were compared.
+        refused: among the others, those in which wheels slipped.
+        offset_s: by which their clock is late, which was corrected.
+        length_error: of the ways of the wheels relative to those of the path in metres, which the
+            radius explains; None where nothing else knows metres.
+        noise: standard deviation of the way of one metre.
+        arm_m: where the camera is, ahead of the wheels' centre and to the left of it; None if that
+            was given, or does not show.
+        moved_m: root mean square distance by which keyframes were moved with ways as factors.
+    """
+
+    segment: int
+    used: int
+    refused: int
+    offset_s: float
+    length_error: float | None
+    noise: float
+    arm_m: tuple[float, float] | None
+    moved_m: float = 0.0
+
+
 @dataclass(frozen=True)
 class ScaleFindings:
     """What sources of scale have measured.
@@ -100,12 +126,14 @@ class ScaleFindings:
         notes: sentences for the user: why there is no scale, and what was left out.
         world_frames: at most one of each world whose frame is not that of its first camera.
         positions: at most one of each world that positions could move.
+        wheel: at most one of each world that wheel odometry agrees with.
     """
 
     scales: tuple[MetricScale, ...] = ()
     notes: tuple[str, ...] = ()
     world_frames: tuple[WorldFrame, ...] = ()
     positions: tuple[PositionUse, ...] = ()
+    wheel: tuple[WheelUse, ...] = ()
 
     def by_segment(self) -> dict[int, MetricScale]:
         """The scales by the number of their world."""
@@ -140,19 +168,23 @@ def choose_scales(findings: Sequence[ScaleFindings]) -> ScaleFindings:
     return ScaleFindings(tuple(chosen), tuple(notes))
 
 
-def without_metric(findings: ScaleFindings, metric: Collection[int]) -> ScaleFindings:
-    """Findings without the scales of worlds that are in metres already, as by a loaded map.
+def without_metric(
+    findings: ScaleFindings, by_map: Collection[int], by_sensor: Collection[int] = ()
+) -> ScaleFindings:
+    """Findings without the scales of worlds in metres by a loaded map or an inertial sensor.
 
     A difference of more than 1 % and three standard deviations is reported.
     """
+    metric = {*by_map, *by_sensor}
     kept = tuple(scale for scale in findings.scales if scale.segment not in metric)
     notes = list(findings.notes)
     for scale in findings.scales:
         limit = max(_MAX_LENGTH_ERROR, _MAX_DISAGREEMENT * scale.relative_sigma)
         if scale.segment in metric and abs(math.log(scale.value)) > limit:
+            other = "loaded map" if scale.segment in by_map else "inertial sensor"
             notes.append(
                 f"in segment {scale.segment} all lengths would be {scale.value - 1.0:+.1%} longer "
-                f"by {scale.source} than by the loaded map, whose metres are kept"
+                f"by {scale.source} than by the {other}, whose metres are kept"
             )
     return replace(findings, scales=kept, notes=tuple(notes))
 

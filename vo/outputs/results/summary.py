@@ -18,6 +18,7 @@ from vo.base.records.metric_scale import (
     MetricScale,
     PositionUse,
     ScaleFindings,
+    WheelUse,
     WorldFrame,
     has_all_scales,
 )
@@ -52,12 +53,13 @@ _DIGITS: Mapping[object, int | str] = {  # decimals of the numbers of a record, 
     (WorldFrame, "sigma_m"): ".4g",
     (WorldFrame, "sigma_deg"): 4,
     PositionUse: 4,
+    WheelUse: 4,
     InertialUse: 6,
     InertialStates: ".6g",
 }
 # Keys that are missing where there is nothing to tell.
 _OPTIONAL = (
-    *("map", "scale", "world_frames", "positions", "inertial", "profile", "live"),
+    *("map", "scale", "world_frames", "positions", "wheel", "inertial", "profile", "live"),
     *("earlier_session", "marker"),
 )
 # Fields that are no keys: reasons, warnings and faults tell them.

@@ -121,12 +121,25 @@ class ImuMessage:
 
 @dataclass(frozen=True, eq=False)
 class PoseMessage:
-    """The (4, 4) transform `frame_from_child`; `child` is empty if the message has none."""
+    """The (4, 4) transform `frame_from_child`; `child` is empty if the message has none.
+
+    `twist`: (6,) linear and angular velocity in the frame of the child; None without any.
+    """
 
     stamp_ns: int
     frame: str
     pose: Floats
     child: str = ""
+    twist: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TwistMessage:
+    """The velocity of a frame in itself: (6,) linear in m/s, and angular in rad/s."""
+
+    stamp_ns: int
+    frame: str
+    twist: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +205,12 @@ Message = (
 
 
 ReadMessage = (
-    Message | CompressedVideoMessage | PathMessage | BareTransformMessage | PositionFixMessage
+    Message
+    | CompressedVideoMessage
+    | PathMessage
+    | BareTransformMessage
+    | PositionFixMessage
+    | TwistMessage
 )
 """All messages that are read; those of `Message` are written too."""
 

@@ -31,6 +31,10 @@ _SIGMA_PER_DOP_M = 2.0  # horizontal error of a receiver, for one unit of diluti
 _STAMP_S = ("t", "time", "stamp", "timestamp", "time_s", "stamp_s", "seconds")
 _STAMP_NS = ("stamp_ns", "time_ns", "timestamp_ns", "timestamp [ns]", "#timestamp [ns]")
 _GEODETIC = (("latitude", "lat"), ("longitude", "lon", "lng"), ("altitude", "alt", "height"))
+_SPEED = (
+    ("speed", "v", "vx", "velocity", "speed_m_s", "speed_mps", "linear_x", "linear.x"),
+    ("yaw_rate", "wz", "omega", "yawrate", "angular_z", "angular.z"),
+)
 _METRES = (("x", "tx", "x_m", "east"), ("y", "ty", "y_m", "north"), ("z", "tz", "z_m", "up"))
 
 
@@ -105,14 +109,37 @@ def read_position_csv(path: Path) -> PositionTable | None:
     Stamps are seconds in `time`, `t`, `stamp` or `timestamp`, nanoseconds in `stamp_ns`. Positions
     are `x`, `y` and perhaps `z` in metres, or `lat`, `lon` and perhaps `alt`.
     """
+    found = _named_columns(path, (_GEODETIC, _METRES))
+    if found is None:
+        return None
+    kind, stamps_ns, values = found
+    positions = np.zeros((len(values), 3))
+    positions[:, : values.shape[1]] = values
+    unknown = np.full(len(values), np.nan)
+    return position_table(path, stamps_ns, positions, unknown, kind is _GEODETIC)
+
+
+def read_speed_csv(path: Path) -> tuple[Ints, Floats] | None:
+    """Read a CSV whose first line names a stamp, a speed in m/s and perhaps a yaw rate in rad/s.
+
+    Returns stamps (N,) as written, and (N, 1) or (N, 2) values; None without such a line.
+    """
+    found = _named_columns(path, (_SPEED,))
+    return None if found is None else found[1:]
+
+
+def _named_columns(
+    path: Path, kinds: Sequence[Sequence[Sequence[str]]]
+) -> tuple[Sequence[Sequence[str]], Ints, Floats] | None:
+    """The first kind of values whose columns are there, stamps in nanoseconds, and the values."""
     lines = [line for line in position_lines(path) if line.strip()]
     names = [name.strip().lower() for name in next(csv.reader(lines[:1]), [])]
     in_ns = [names.index(name) for name in _STAMP_NS if name in names]
     in_s = [names.index(name) for name in _STAMP_S if name in names]
-    geodetic, metres = _columns(names, _GEODETIC), _columns(names, _METRES)
-    columns = metres if geodetic is None else geodetic
-    if not (in_ns or in_s) or columns is None:
+    there = [(kind, columns) for kind in kinds if (columns := _columns(names, kind)) is not None]
+    if not (in_ns or in_s) or not there:
         return None
+    kind, columns = there[0]
     stamps, values = [], []
     for number, row in enumerate(csv.reader(lines[1:]), start=2):
         try:
@@ -122,14 +149,11 @@ def read_position_csv(path: Path) -> PositionTable | None:
         except (ValueError, IndexError) as error:
             raise SourceError(f"{path}:{number}: {error}; give numbers in every line") from error
     if not values:
-        raise SourceError(f"{path} has no line of data; give positions with their times")
-    positions = np.zeros((len(values), 3))
-    positions[:, : len(columns)] = values
-    unknown = np.full(len(values), np.nan)
+        raise SourceError(f"{path} has no line of data; give values with their times")
     unit: StampUnit
     unit, spacing = ("ns", STATED) if in_ns else ("s", POSES)
     stamps_ns = np.array(parse_stamps(stamps, unit, spacing=spacing), np.int64)
-    return position_table(path, stamps_ns, positions, unknown, geodetic is not None)
+    return kind, stamps_ns, np.array(values)
 
 
 def position_table(
@@ -159,9 +183,9 @@ def position_lines(path: Path) -> list[str]:
 
 
 def _columns(names: Sequence[str], wanted: Sequence[Sequence[str]]) -> list[int] | None:
-    """Columns of two or three coordinates."""
+    """Columns of the values; the last one may be missing."""
     found = [[names.index(name) for name in each if name in names] for each in wanted]
-    if not found[0] or not found[1]:
+    if not all(found[:-1]):
         return None
     return [each[0] for each in found if each]
 

@@ -14,6 +14,7 @@ from rosbags.typesys import get_typestore as load_store
 from rosbags.typesys.store import Typestore
 
 from vo.base.errors import SourceError
+from vo.base.types import Floats
 from vo.recordings.formats.camera_messages import RawCalibration, calibration_message
 from vo.recordings.formats.messages import (
     BareTransformMessage,
@@ -29,6 +30,7 @@ from vo.recordings.formats.messages import (
     PositionFixMessage,
     ReadMessage,
     TransformsMessage,
+    TwistMessage,
     encoded_message,
     rigid_transform,
     vector3,
@@ -254,12 +256,25 @@ def _transform_as_pose(record: Any) -> PoseMessage:
 def _pose(record: Any) -> PoseMessage:
     """The pose of a PoseStamped, PoseWithCovarianceStamped or Odometry."""
     pose = getattr(record.pose, "pose", record.pose)
+    velocity = getattr(record, "twist", None)
     return PoseMessage(
         _stamp_ns(record.header.stamp),
         record.header.frame_id.lstrip("/"),
         rigid_transform(pose.position, pose.orientation),
         getattr(record, "child_frame_id", "").lstrip("/"),
+        None if velocity is None else _velocity(velocity),
     )
+
+
+def _velocity(record: Any) -> Floats:
+    """(6,) of a Twist or TwistWithCovariance."""
+    twist = getattr(record, "twist", record)
+    return np.concatenate([vector3(twist.linear), vector3(twist.angular)])
+
+
+def _twist(record: Any) -> TwistMessage:
+    frame = record.header.frame_id.lstrip("/")
+    return TwistMessage(_stamp_ns(record.header.stamp), frame, _velocity(record.twist))
 
 
 def _path(record: Any) -> PathMessage:
@@ -298,6 +313,8 @@ _CONVERTERS: dict[str, tuple[type[ReadMessage], Callable[[Any], ReadMessage]]] =
     "geometry_msgs/msg/PoseStamped": (PoseMessage, _pose),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (PoseMessage, _pose),
     "geometry_msgs/msg/TransformStamped": (PoseMessage, _transform_as_pose),
+    "geometry_msgs/msg/TwistStamped": (TwistMessage, _twist),
+    "geometry_msgs/msg/TwistWithCovarianceStamped": (TwistMessage, _twist),
     "nav_msgs/msg/Odometry": (PoseMessage, _pose),
     "nav_msgs/msg/Path": (PathMessage, _path),
     "sensor_msgs/msg/NavSatFix": (PositionFixMessage, _position_fix),

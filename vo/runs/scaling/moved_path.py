@@ -1,21 +1,24 @@
-"""Keyframes of a run moved by positions of another sensor, once, after its last frame."""
+"""Keyframes of a run moved by positions and wheels, once, after its last frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse
-from vo.base.records.metric_scale import PositionUse
+from vo.base.records.metric_scale import PositionUse, WheelUse
 from vo.base.types import Floats, Ints
 from vo.engine.geometry import sim3
 from vo.engine.places.records import Loop
 from vo.engine.trajectory.store import TrajectoryStore
-from vo.runs.scaling.path_fusion import Fixes, FusedPath, LoopFactors, fuse_positions
+from vo.runs.scaling.path_factors import Fixes, Given, LoopFactors
+from vo.runs.scaling.path_fusion import FusedPath, fuse_path
 from vo.runs.scaling.position_source import PathAlignment, PositionSource
 from vo.runs.scaling.timed_fit import associate
+from vo.runs.scaling.wheel_source import WheelSource
 
 _MAX_LOOPS = 16
 _LOG_SCALE = 1e-4  # standard deviation that the scale of a loop has at least
@@ -24,56 +27,131 @@ _HELD_M = 0.1  # way of the camera between two positions that are equal to the l
 _USUAL_RATIO = (0.2, 5.0)  # of the uncertainties that a receiver states
 
 
-def move_by_positions(
-    store: TrajectoryStore, source: PositionSource, loops: Sequence[Loop]
-) -> list[PositionUse]:
-    """Move each world that was aligned with positions, whose first keyframe stays.
+class MovedPath(NamedTuple):
+    """What became of positions and of wheel odometry, by world."""
 
-    The alignments of the source become those of the moved path.
+    positions: tuple[PositionUse, ...]
+    wheel: tuple[WheelUse, ...]
+
+
+def move_path(
+    store: TrajectoryStore,
+    source: PositionSource | None,
+    wheel: WheelSource | None,
+    loops: Sequence[Loop],
+) -> MovedPath:
+    """Move each world that was aligned with positions or wheels; its first keyframe stays.
+
+    The alignments of the positions become those of the moved path.
 
     Args:
         store: the path, in metres.
-        source: of the positions, after `measure`.
+        source: of the positions, after `measure`; None for no positions.
+        wheel: after `measure`; None for no wheel odometry.
         loops: that the path agrees with.
     """
-    uses, alignments = [], []
-    for alignment in source.alignments:
-        use, moved = None, alignment
-        if store.metric.is_metric(alignment.segment):
-            use, moved = _move(store, source, alignment, loops)
-        alignments.append(moved)
-        uses += [] if use is None else [use]
-    source.alignments = tuple(alignments)
-    return uses
+    aligned = {} if source is None else {each.segment: each for each in source.alignments}
+    positions: list[PositionUse] = []
+    moved_m: dict[int, float] = {}
+    for world in sorted({*aligned, *({} if wheel is None else wheel.fits)}):
+        if not store.metric.is_metric(world):
+            continue
+        alignment = aligned.get(world)
+        keyframes = _Keyframes.of(store, world)
+        given = keyframes.given(store, wheel, loops, alignment)
+        if alignment is not None and source is not None:
+            use, aligned[world] = _move_in_frame(store, source, alignment, keyframes, given)
+            positions += [] if use is None else [use]
+            moved_m[world] = 0.0 if use is None else use.moved_m
+        elif given.ways is not None:
+            moved_m[world] = _move_by_wheel(store, keyframes, given)
+    if source is not None:
+        source.alignments = tuple(aligned[number] for number in sorted(aligned))
+    return MovedPath(tuple(positions), () if wheel is None else wheel.uses(store.metric, moved_m))
 
 
-def _move(
-    store: TrajectoryStore, source: PositionSource, alignment: PathAlignment, loops: Sequence[Loop]
+class _Keyframes(NamedTuple):
+    """All keyframes of a world: see `TrajectoryStore.registered`."""
+
+    world: int
+    ids: Ints
+    world_from_cam: Floats
+    scale: Floats
+
+    @classmethod
+    def of(cls, store: TrajectoryStore, world: int) -> _Keyframes:
+        return cls(world, *store.registered(world)[:3])
+
+    def given(
+        self,
+        store: TrajectoryStore,
+        wheel: WheelSource | None,
+        loops: Sequence[Loop],
+        alignment: PathAlignment | None,
+    ) -> Given:
+        """What is known of them besides positions."""
+        scale = store.metric.scales.get(self.world)
+        is_metric = scale is None and self.world not in store.metric.worlds_by_sensor
+        smallest_m = 0.0 if alignment is None else _ROUNDED * alignment.positions.resolution_m
+        given = Given(_loop_factors(loops, self.ids, self.scale), is_metric, smallest_m)
+        is_known = is_metric or (scale is None and alignment is None)
+        if is_known or wheel is None or self.world not in wheel.fits:
+            return given  # two cameras, or an inertial sensor, measure lengths better than wheels
+        rows = store.keyframes_by_id(self.ids.tolist())
+        stamps_ns, segments = np.array([(each.stamp_ns, each.segment) for each in rows]).T
+        ways = wheel.factors(self.world, self.world_from_cam, stamps_ns, segments)
+        is_free = scale is None or alignment is not None or scale.source == wheel.name
+        return given._replace(
+            ways=ways, scale_sigma=None if is_free or scale is None else scale.relative_sigma
+        )
+
+
+def _move_in_frame(
+    store: TrajectoryStore,
+    source: PositionSource,
+    alignment: PathAlignment,
+    keyframes: _Keyframes,
+    given: Given,
 ) -> tuple[PositionUse | None, PathAlignment]:
-    world = alignment.segment
-    ids, world_from_cam, scale, _ = store.registered(world)
+    """Move a world among its positions; what became of them, and where it is."""
     enu_from_world = np.eye(4)
     enu_from_world[:3, :3], enu_from_world[:3, 3] = alignment.rotation, alignment.translation
-    poses = enu_from_world @ world_from_cam
-    fixes = _fixes(store, source, alignment, ids, poses)
-    is_metric = world not in store.metric.scales and world not in store.metric.worlds_by_sensor
-    factors = _loop_factors(loops, ids, scale)
-    smallest_m = _ROUNDED * alignment.positions.resolution_m
-    found = fuse_positions(poses, fixes, factors, is_metric=is_metric, smallest_m=smallest_m)
+    poses = enu_from_world @ keyframes.world_from_cam
+    fixes = _fixes(store, source, alignment, keyframes.ids, poses)
+    found = fuse_path(poses, fixes, given)
     if found is None:
         return None, alignment
     use = _use(source, alignment, fixes, found, poses)
     if not found.is_moved:
         return use, alignment
-    placed = sim3.rigid_part(found.poses)
-    world_from_enu = world_from_cam[0] @ inverse(placed[0])
-    moved = world_from_enu @ placed
+    back = inverse(_move(store, keyframes, found))
+    return use, replace(alignment, rotation=back[:3, :3], translation=back[:3, 3])
+
+
+def _move_by_wheel(store: TrajectoryStore, keyframes: _Keyframes, given: Given) -> float:
+    """Move a world by the ways of wheels alone; root mean square distance."""
+    nothing = Fixes(*(np.empty((0, *size)) for size in ((), (), (3,), (3,), (3,), ())))
+    poses = keyframes.world_from_cam
+    found = fuse_path(poses, replace(nothing, at=np.empty(0, np.int64)), given)
+    if found is None or not found.is_moved:
+        return 0.0
+    world_from_new = _move(store, keyframes, found)
+    moved = world_from_new @ sim3.rigid_part(found.poses)
+    off = np.linalg.norm((moved - poses)[:, :3, 3], axis=1)
+    return float(np.sqrt((off**2).mean()))
+
+
+def _move(store: TrajectoryStore, keyframes: _Keyframes, found: FusedPath) -> Floats:
+    """Move keyframes in the store; (4, 4) of the frame of the fused path in the world."""
+    world, ids, world_from_cam, scale = keyframes
+    fused = sim3.rigid_part(found.poses)
+    world_from_fused = world_from_cam[0] @ inverse(fused[0])
+    moved = world_from_fused @ fused
     moved[0] = world_from_cam[0]
     factor = sim3.scale_of(found.poses)
     worlds = np.full(len(ids), world, np.int64)
     store.move_keyframes(ids, worlds, moved, scale * factor, found.from_first[:, :6, :6])
-    back = inverse(world_from_enu)
-    return use, replace(alignment, rotation=back[:3, :3], translation=back[:3, 3])
+    return np.asarray(world_from_fused)
 
 
 def _fixes(

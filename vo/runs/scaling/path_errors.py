@@ -26,7 +26,7 @@ _LARGE = 1e18
 
 
 class Rows(NamedTuple):
-    """R scalar measurements, linear in the errors: `along` (R, 7) @ (error at - error since).
+    """R scalar measurements: `along` (R, 7) @ error at - `before` (R, 7) @ error since.
 
     Attributes:
         at: (R,) poses.
@@ -38,8 +38,15 @@ class Rows(NamedTuple):
     at: Ints
     since: Ints
     along: Floats
+    before: Floats
     trend: Floats
     residual: Floats
+
+    @property
+    def ends(self) -> tuple[tuple[Ints, Floats], ...]:
+        """Poses, and derivatives by their errors."""
+        at = self.at, self.along
+        return (at, (self.since, -self.before)) if self.since.any() else (at,)
 
 
 class Solution(NamedTuple):
@@ -63,9 +70,10 @@ class PathErrors:
     Args:
         poses: (n, 4, 4) similarities.
         is_metric: whether the scale cannot drift.
+        joined: (n, 7) further standard deviations of steps, across gaps; None for a path without.
     """
 
-    def __init__(self, poses: Floats, *, is_metric: bool) -> None:
+    def __init__(self, poses: Floats, *, is_metric: bool, joined: Floats | None = None) -> None:
         law = USUAL
         steps = sim3.inverse(poses[:-1]) @ poses[1:]
         length = np.linalg.norm(steps[:, :3, 3], axis=1)
@@ -84,6 +92,8 @@ class PathErrors:
         self.inverse_adjoint = sim3.adjoint(sim3.inverse(poses))
         parts = (random,) if is_metric else (random, scale)
         self._noise = [self._summed(part) for part in parts]
+        if joined is not None:
+            self._noise[0] += self._summed(joined)
         self._bias = np.cumsum(self.adjoint * bias[:, None, :], axis=0)
 
     @property
@@ -106,31 +116,34 @@ class PathErrors:
 
     def measured(self, rows: Rows) -> list[Floats]:
         """(R, R) covariances of measurements by each kind of errors."""
-        ends = ((rows.at, 1.0), (rows.since, -1.0)) if rows.since.any() else ((rows.at, 1.0),)
         found = [np.zeros((len(rows.at), len(rows.at))) for _ in self._noise]
-        for a, sign_a in ends:
-            for b, sign_b in ends:
+        for a, along_a in rows.ends:
+            for b, along_b in rows.ends:
                 for total, noise in zip(found, self._noise, strict=True):
-                    total += sign_a * sign_b * _products(noise, a, b, rows.along)
-        by_bias = np.einsum("ri,rij->rj", rows.along, self._bias[rows.at] - self._bias[rows.since])
+                    total += _products(noise, a, b, along_a, along_b)
+        by_bias = self._by_bias(rows)
         found[0] += by_bias @ by_bias.T
         return found
+
+    def _by_bias(self, rows: Rows) -> Floats:
+        """(R, 7) of measurements by the systematic errors of steps."""
+        parts = [np.einsum("ri,rij->rj", along, self._bias[at]) for at, along in rows.ends]
+        return np.asarray(sum(parts))
 
     def expected(self, rows: Rows, factors: Sequence[float], weighted: Floats) -> Floats:
         """(n, 7) errors, given a solution's `weighted`."""
         count = len(self.adjoint)
-        force = rows.along * weighted[:, None]
         result = np.zeros((count, 7))
-        for at, sign in ((rows.at, 1.0), (rows.since, -1.0)):
+        for at, along in rows.ends:
+            force = along * weighted[:, None]
             for noise, factor in zip(self._noise, factors, strict=True):
                 before, after = np.zeros((2, count, 7))
                 np.add.at(before, at, np.einsum("rij,rj->ri", noise[at], force))
                 np.add.at(after, at, force)
                 later = after.sum(axis=0) - np.cumsum(after, axis=0)
                 summed = np.cumsum(before, axis=0) + np.einsum("nij,nj->ni", noise, later)
-                result += sign * factor * summed
-        bias = self._bias[rows.at] - self._bias[rows.since]
-        result += factors[0] * self._bias @ np.einsum("rji,rj->i", bias, force)
+                result += factor * summed
+        result += factors[0] * self._bias @ (weighted @ self._by_bias(rows))
         return result
 
     def covariances(
@@ -152,13 +165,12 @@ class PathErrors:
             crossed = np.zeros((len(part), 7, len(rows.at)))
             for noise, factor in zip(self._noise, factors, strict=True):
                 alone = alone + factor * noise[part]
-                for at, sign in ((rows.at, 1.0), (rows.since, -1.0)):
-                    by_row = np.einsum("rij,rj->ir", noise[at], rows.along)
-                    own = noise[part] @ rows.along.T
+                for at, along in rows.ends:
+                    by_row = np.einsum("rij,rj->ir", noise[at], along)
+                    own = noise[part] @ along.T
                     is_before = (at <= part[:, None])[:, None, :]
-                    crossed += sign * factor * np.where(is_before, by_row, own)
-            bias = np.einsum("rij,ri->jr", self._bias[rows.at] - self._bias[rows.since], rows.along)
-            crossed += factors[0] * self._bias[part] @ bias
+                    crossed += factor * np.where(is_before, by_row, own)
+            crossed += factors[0] * self._bias[part] @ self._by_bias(rows).T
             gain = crossed @ solution.information
             alone = alone - gain @ np.swapaxes(crossed, 1, 2)
             for result, each in zip(results, shared, strict=True):
@@ -198,8 +210,8 @@ def log_likelihood(rows: Rows, covariance: Floats, prior: Floats) -> float:
     return -0.5 * (squared + 2.0 * log_diagonal + float(np.linalg.slogdet(normal)[1]))
 
 
-def _products(noise: Floats, a: Ints, b: Ints, along: Floats) -> Floats:
-    """(R, R) along_r @ noise[min(a_r, b_s)] @ along_s."""
-    by_a = np.einsum("ri,rij->rj", along, noise[a]) @ along.T
-    by_b = along @ np.einsum("rij,rj->ri", noise[b], along).T
+def _products(noise: Floats, a: Ints, b: Ints, along_a: Floats, along_b: Floats) -> Floats:
+    """(R, R) along_a_r @ noise[min(a_r, b_s)] @ along_b_s."""
+    by_a = np.einsum("ri,rij->rj", along_a, noise[a]) @ along_b.T
+    by_b = along_a @ np.einsum("rij,rj->ri", noise[b], along_b).T
     return np.asarray(np.where(a[:, None] <= b, by_a, by_b))

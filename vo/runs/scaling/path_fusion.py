@@ -1,6 +1,7 @@
-"""A path moved by positions of another sensor: factors of a pose graph of all its keyframes.
+"""A path moved by positions and wheels: factors of a pose graph of all its keyframes.
 
-Odometry and accepted loops hold the path together, positions hold it in their frame. How exact the
+Odometry and accepted loops hold the path together, positions hold it in their frame, and ways of
+wheels its lengths. How exact the
 positions are, and how much odometry drifts, is estimated from how they differ; what positions say
 of themselves counts relative to each other only. Where a path without drift explains the
 differences as well, nothing moves.
@@ -8,7 +9,7 @@ differences as well, nothing moves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,15 @@ from vo.base.geometry.transforms import skew
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.geometry import sim3
 from vo.runs.scaling.path_errors import PathErrors, Rows, Solution, solve
+from vo.runs.scaling.path_factors import (
+    Fixes,
+    Given,
+    axis_sigmas,
+    pieces_of,
+    sigma_of,
+    white_sigma,
+    without_outliers,
+)
 from vo.runs.scaling.position_noise import Measured, Noise, estimate_noise
 
 _MIN_FIXES = 10
@@ -25,58 +35,16 @@ _ROUNDS = 3  # of the linearisation
 _EVIDENCE = -3.0  # logarithm of the ratio of likelihoods, above which the path moves
 _MAX_MOVED = 0.25  # of the extent of the path: more is no drift
 _SIGNIFICANT, _COMPARED = 1.5, 40  # movement, relative to what stays uncertain; poses of it
-_NEAR = 20  # positions on each side that an outlier is compared with
-_OUTLIER = 5.5  # in standard deviations
-_DRIFT = 0.003  # of the path beside it, relative to the way
 _REFUSED = 35.0  # squared distance of three numbers, in variances
 _USUAL_SQUARED = 2.366  # its median
-_JUMP, _JUMP_OF_WAY, _JUMP_SIDE, _MIN_PIECE = 7.0, 0.03, 4, 5
-_MAX_PIECES = 12
-_MEDIAN = 0.6745  # of the absolute value of a normal number
 _TURN_SIGMA, _CLOCK_SIGMA_S = 1.0, 0.05  # rad, of the frame of positions before; of their clock
+_UNKNOWN_M = 1e4  # of the frame, without positions
 _SLOW_S = 30.0  # where the search begins
 _MAX_COVARIANCES = 300
 
 
-@dataclass(frozen=True, eq=False)
-class Fixes:
-    """M positions of another sensor, in time order, and the keyframes that they belong to.
-
-    Attributes:
-        times_s: (M,).
-        at: (M,) rows of keyframes.
-        in_cam: (M, 3) of the sensor in the frame of that keyframe.
-        velocity: (M, 3) in the frame of the positions.
-        xyz: (M, 3) measured.
-        sigma: (M,) standard deviations, relative to the usual one.
-    """
-
-    times_s: Floats
-    at: Ints
-    in_cam: Floats
-    velocity: Floats
-    xyz: Floats
-    sigma: Floats
-
-    def rows(self, rows: Bools | Ints) -> Fixes:
-        """Some of them."""
-        return Fixes(*(each[rows] for each in vars(self).values()))
-
-
-class LoopFactors(NamedTuple):
-    """L motions that loops have measured, between keyframes a and b (L,).
-
-    Attributes:
-        covariance: (L, 7, 7) in the frame of b.
-    """
-
-    a: Ints
-    b: Ints
-    covariance: Floats
-
-
 class FusedPath(NamedTuple):
-    """A path that positions have moved.
+    """A path that positions or wheels have moved.
 
     Attributes:
         poses: (n, 4, 4) similarities, in the frame of the positions.
@@ -97,38 +65,33 @@ class FusedPath(NamedTuple):
     is_moved: bool
 
 
-def fuse_positions(
-    poses: Floats,
-    fixes: Fixes,
-    loops: LoopFactors,
-    *,
-    is_metric: bool,
-    smallest_m: float = 0.0,
-) -> FusedPath | None:
-    """Move a path to where odometry, loops and positions agree best; None for too few positions.
+def fuse_path(poses: Floats, fixes: Fixes, given: Given) -> FusedPath | None:
+    """Move a path to where odometry, loops, positions and wheels agree best.
 
     Args:
         poses: (n, 4, 4) keyframes in metres, in the frame of the positions.
-        fixes: the positions.
-        loops: that the path agrees with.
-        is_metric: whether the scale of the path cannot drift.
-        smallest_m: standard deviation of rounding.
+        fixes: the positions; without any, wheels alone.
+        given: everything else that is known.
+
+    Returns:
+        None for too few positions.
     """
-    centre = fixes.xyz.mean(axis=0)
+    centre = (fixes.xyz if len(fixes.at) else poses[:, :3, 3]).mean(axis=0)
     poses, fixes = poses.copy(), replace(fixes, xyz=fixes.xyz - centre)
     poses[:, :3, 3] -= centre
-    used = _without_outliers(fixes, fixes.xyz - _positions(poses, fixes))
-    if used.sum() < _MIN_FIXES:
+    used = without_outliers(fixes, fixes.xyz - _positions(poses, fixes))
+    fewest = _MIN_FIXES if len(fixes.at) or given.ways is None else 0
+    if used.sum() < fewest:
         return None
-    fusion = _Fusion(poses, loops, is_metric=is_metric, smallest_m=smallest_m)
+    fusion = _Fusion(poses, given)
     for _ in range(_ROUNDS):
-        piece = _pieces(fixes.rows(used), fixes.xyz[used] - _positions(fusion.poses, fixes, used))
+        piece = pieces_of(fixes.rows(used), fixes.xyz[used] - _positions(fusion.poses, fixes, used))
         is_moved = fusion.learn(fixes.rows(used), piece)
         if not is_moved:
             break
         refused = fusion.refused(fixes.rows(used), piece)
         used[np.flatnonzero(used)[refused]] = False
-        if used.sum() < _MIN_FIXES:
+        if used.sum() < fewest:
             return None
         piece = piece[~refused]
         fusion.move(fixes.rows(used), piece)
@@ -141,37 +104,36 @@ def fuse_positions(
     from_first, in_frame = fusion.covariances()
     moved = fusion.poses.copy()
     moved[:, :3, 3] += centre
-    jumps = len(np.unique(piece)) - 1
+    jumps = max(len(np.unique(piece)) - 1, 0)
     return FusedPath(moved, from_first, in_frame, used, fusion.noise, jumps, is_moved)
 
 
 class _Fusion:
     """The path so far, with the errors that were taken out of its steps."""
 
-    def __init__(
-        self, poses: Floats, loops: LoopFactors, *, is_metric: bool, smallest_m: float
-    ) -> None:
+    def __init__(self, poses: Floats, given: Given) -> None:
         self.poses = poses
         self.noise = Noise(0.0, 0.0, 0.0, ())
-        self._loops, self._is_metric, self._smallest_m = loops, is_metric, smallest_m
+        self._given, self._is_metric = given, given.is_metric
         self._steps = np.zeros((len(poses), 7))
         self._motions = sim3.inverse(poses[:-1]) @ poses[1:]
-        self._errors = PathErrors(poses, is_metric=is_metric)
+        self._errors = self._errors_of(poses)
         self._solved: tuple[Measured, Solution] | None = None
+
+    def _errors_of(self, poses: Floats) -> PathErrors:
+        return PathErrors(poses, is_metric=self._is_metric, joined=self._given.joined)
 
     def learn(self, fixes: Fixes, piece: Ints) -> bool:
         """Estimate the noise; whether errors of the path show in the positions."""
         measured, _, prior = self._measured(fixes, piece, _COARSE_GROUPS)
         residuals = fixes.xyz - _positions(self.poses, fixes)
-        white_m = max(_white_sigma(residuals), 1e-3)
-        given = measured, self._errors, prior, self._smallest_m, white_m
+        white_m, slow_m = max(white_sigma(residuals), 1e-3), max(sigma_of(residuals), 1e-3)
+        given = measured, self._errors, prior, self._given.smallest_m, white_m
         if self.noise.factors:
             self.noise, _ = estimate_noise(*given, self.noise, has_drift=True)
             return True
         usual = (1.0,) * self._errors.kinds
-        still, alone = estimate_noise(
-            *given, Noise(white_m, _sigma(residuals), _SLOW_S, ()), has_drift=False
-        )
+        still, alone = estimate_noise(*given, Noise(white_m, slow_m, _SLOW_S, ()), has_drift=False)
         starts = Noise(white_m, white_m, _SLOW_S, usual), still._replace(factors=usual)
         found = [estimate_noise(*given, each, has_drift=True) for each in starts]
         self.noise, value = max(found, key=lambda each: each[1])
@@ -187,14 +149,17 @@ class _Fusion:
         covariance = measured.covariance(self.noise, self._errors.measured(rows))
         solution = solve(rows, covariance, prior)
         errors = self._errors.expected(rows, self.noise.factors, solution.weighted)
-        errors[:, :width] += solution.parameters[:width]
+        shared = self._of_frame(rows)
         chosen = np.unique(np.linspace(0, len(errors) - 1, _COMPARED).astype(np.int64))
         points = self.poses[chosen, :3, 3]
         by_error = np.concatenate([-skew(points), np.tile(np.eye(3), (len(points), 1, 1))], axis=2)
         by_error = np.concatenate([by_error, points[:, :, None]], axis=2)
-        (spread,) = self._errors.covariances(
-            rows, self.noise.factors, solution, chosen, [self._of_frame(rows)]
-        )
+        if len(measured.times_s):
+            errors[:, :width] += solution.parameters[:width]
+        else:  # wheels measure the drift of the scale, and nothing else
+            shared = np.zeros_like(shared)
+            by_error[:, :, :6], by_error[:, :, 6] = 0.0, 1.0
+        (spread,) = self._errors.covariances(rows, self.noise.factors, solution, chosen, [shared])
         left = np.einsum("nij,njk,nik->", by_error, spread, by_error)
         moved = np.einsum("nij,nj->ni", by_error, errors[chosen])
         return float(np.sqrt((moved**2).sum() / max(left, 1e-300)))
@@ -215,6 +180,8 @@ class _Fusion:
         trend = solution.information @ rows.trend
         precision = solution.information - trend @ solution.covariance @ trend.T
         size = len(measured.times_s)
+        if size == 0:
+            return np.zeros(0, bool)
         blocks = np.stack([precision[3 * g : 3 * g + 3, 3 * g : 3 * g + 3] for g in range(size)])
         weighted = solution.weighted[: 3 * size].reshape(size, 3)
         squared = (weighted * np.linalg.solve(blocks, weighted[:, :, None])[:, :, 0]).sum(axis=1)
@@ -236,7 +203,7 @@ class _Fusion:
             moved.append(moved[-1] @ motion @ step)
         self.poses = np.stack(moved)
         self._motions = sim3.inverse(self.poses[:-1]) @ self.poses[1:]
-        self._errors = PathErrors(self.poses, is_metric=self._is_metric)
+        self._errors = self._errors_of(self.poses)
         self._solved = measured, solution
 
     def covariances(self) -> tuple[Floats, Floats]:
@@ -277,21 +244,27 @@ class _Fusion:
         along[:, :, 3:6] = np.eye(3)
         along[:, :, 6] = points
         width = self._width
-        numbers = np.unique(piece)
-        main = np.bincount(piece).argmax()
-        others = numbers[numbers != main]
+        others = np.unique(piece)
+        if count:
+            others = others[others != np.bincount(piece).argmax()]
         shifts = (piece[:, None] == others)[:, None, :, None] * np.eye(3)[:, None, :]
         trend = np.concatenate(
-            [along[:, :, :width], fixes.velocity[:, :, None], shifts.reshape(count, 3, -1)], axis=2
+            [
+                *(along[:, :, :width], fixes.velocity[:, :, None]),
+                shifts.reshape(count, 3, 3 * len(others)),
+            ],
+            axis=2,
         )
         before = self._errors.along(self._steps)
         residual = fixes.xyz - points + np.einsum("mij,mj->mi", along, before[fixes.at])
-        group = np.minimum(np.arange(count) * min(most, count) // count, most)
-        group = np.unique(group * (piece.max() + 1) + piece, return_inverse=True)[1]
+        group = np.minimum(np.arange(count) * min(most, count) // max(count, 1), most)
+        group = np.unique(group * (piece.max(initial=0) + 1) + piece, return_inverse=True)[1]
         weight = 1.0 / fixes.sigma**2
         total = np.bincount(group, weight)
 
         def mean(values: Floats) -> Floats:
+            if count == 0:
+                return values
             flat = values.reshape(count, -1) * weight[:, None]
             sums = np.add.reduceat(flat, np.flatnonzero(np.diff(group, prepend=-1)), axis=0)
             return np.asarray((sums / total[:, None]).reshape(-1, *values.shape[1:]))
@@ -302,28 +275,62 @@ class _Fusion:
             np.repeat(at, 3),
             np.zeros(3 * size, np.int64),
             mean(along).reshape(-1, 7),
-            mean(trend).reshape(3 * size, -1),
+            mean(along).reshape(-1, 7),
+            mean(trend).reshape(3 * size, trend.shape[2]),
             mean(residual).reshape(-1),
         )
-        axes = _axis_sigmas(residual)
-        rows, further = self._with_loops(rows)
+        axes = axis_sigmas(residual)
         prior = np.zeros(trend.shape[2])
         prior[:3], prior[width] = _TURN_SIGMA**-2, _CLOCK_SIGMA_S**-2
-        return Measured(rows, mean(fixes.times_s), 1.0 / total, axes, further), group, prior
+        if count == 0:
+            prior[3:6] = _UNKNOWN_M**-2
+        if not self._is_metric and self._given.scale_sigma is not None:
+            prior[6] = self._given.scale_sigma**-2
+        rows, of_ways, prior = self._with_ways(rows, before, prior)
+        rows, further = self._with_loops(rows)
+        measured = Measured(rows, mean(fixes.times_s), 1.0 / total, axes, of_ways, further)
+        return measured, group, prior
+
+    def _with_ways(self, rows: Rows, errors: Floats, prior: Floats) -> tuple[Rows, Floats, Floats]:
+        """Rows with those of wheels and a parameter of their radius; covariance of their ways.
+
+        `errors`: (n, 7) that were taken out of the path.
+        """
+        ways = self._given.ways
+        if ways is None:
+            return rows, np.zeros((0, 0)), prior
+        along, before, lengths = ways.rows(self.poses)
+        taken = (along * errors[ways.at]).sum(axis=1) - (before * errors[ways.since]).sum(axis=1)
+        trend = np.zeros((len(lengths), len(prior) + 1))
+        trend[:, -1] = lengths
+        if not self._is_metric:
+            trend[:, 6] = lengths
+        alike = np.zeros((len(rows.at), 1))
+        joined = Rows(
+            np.r_[rows.at, ways.at],
+            np.r_[rows.since, ways.since],
+            np.concatenate([rows.along, along]),
+            np.concatenate([rows.before, before]),
+            np.concatenate([np.hstack([rows.trend, alike]), trend]),
+            np.r_[rows.residual, ways.way_m - lengths + taken],
+        )
+        return joined, ways.covariance, np.r_[prior, ways.radius_sigma**-2]
 
     def _with_loops(self, rows: Rows) -> tuple[Rows, Floats]:
-        count = len(self._loops.a)
+        loops = self._given.loops
+        count = len(loops.a)
         further = np.zeros((7 * count, 7 * count))
         if count == 0:
             return rows, further
-        for n, each in enumerate(self._loops.covariance):
+        for n, each in enumerate(loops.covariance):
             further[7 * n : 7 * n + 7, 7 * n : 7 * n + 7] = each
-        in_later = self._errors.inverse_adjoint[self._loops.b]
+        in_later = self._errors.inverse_adjoint[loops.b].reshape(-1, 7)
         nothing = np.zeros((7 * count, rows.trend.shape[1]))
         return Rows(
-            np.r_[rows.at, np.repeat(self._loops.b, 7)],
-            np.r_[rows.since, np.repeat(self._loops.a, 7)],
-            np.concatenate([rows.along, in_later.reshape(-1, 7)]),
+            np.r_[rows.at, np.repeat(loops.b, 7)],
+            np.r_[rows.since, np.repeat(loops.a, 7)],
+            np.concatenate([rows.along, in_later]),
+            np.concatenate([rows.before, in_later]),
             np.concatenate([rows.trend, nothing]),
             np.r_[rows.residual, np.zeros(7 * count)],
         ), further
@@ -333,54 +340,3 @@ def _positions(poses: Floats, fixes: Fixes, rows: Bools | slice = slice(None)) -
     """(M, 3) of the other sensor, by the path."""
     at = poses[fixes.at[rows]]
     return np.asarray((at[:, :3, :3] @ fixes.in_cam[rows, :, None])[:, :, 0] + at[:, :3, 3])
-
-
-def _white_sigma(residuals: Floats) -> float:
-    """Standard deviation along one axis by differences of neighbours."""
-    return float(_sigma(np.diff(residuals, axis=0)) / np.sqrt(2.0))
-
-
-def _sigma(values: Floats) -> float:
-    return float(np.median(np.abs(values - np.median(values, axis=0)))) / _MEDIAN
-
-
-def _axis_sigmas(residual: Floats) -> Floats:
-    """(3,) of east, north and up: heights by satellites are less exact."""
-    across, up = _white_sigma(residual[:, :2]), _white_sigma(residual[:, 2:])
-    ratio = np.clip(up / across, 0.3, 5.0) if across > 0.0 else 1.0
-    return np.array([1.0, 1.0, ratio])
-
-
-def _without_outliers(fixes: Fixes, residuals: Floats) -> Bools:
-    """(M,) positions that are near the median of those before and after them."""
-    used = np.ones(len(residuals), bool)
-    for _ in range(2):
-        rows = np.flatnonzero(used)
-        near = rows[
-            np.clip(np.arange(len(rows)) + np.arange(-_NEAR, _NEAR + 1)[:, None], 0, len(rows) - 1)
-        ]
-        off = residuals[rows] - np.median(residuals[near], axis=0)
-        way = np.linalg.norm(fixes.velocity[rows], axis=1) * np.ptp(fixes.times_s[near], axis=0)
-        drift = 0.5 * _DRIFT * way[:, None]
-        sigma = np.hypot(np.median(np.abs(off), axis=0) / _MEDIAN, drift) + 1e-3
-        used[rows[np.linalg.norm(off / sigma, axis=1) > _OUTLIER]] = False
-    return used
-
-
-def _pieces(fixes: Fixes, residuals: Floats) -> Ints:
-    """(M,) number of the part between jumps, by more than the drift between two positions."""
-    count = len(residuals)
-    steps = np.linalg.norm(np.diff(residuals, axis=0), axis=1)
-    way = np.linalg.norm(fixes.velocity[1:], axis=1) * np.diff(fixes.times_s)
-    usual = _JUMP * _white_sigma(residuals) * np.sqrt(2.0) + _JUMP_OF_WAY * way
-    jumps: list[int] = []
-    for row in np.argsort(usual - steps, kind="stable").tolist()[:50]:
-        if steps[row] <= usual[row]:
-            break
-        before = residuals[max(row + 1 - _JUMP_SIDE, 0) : row + 1]
-        after = residuals[row + 1 : row + 1 + _JUMP_SIDE]
-        change = np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0))
-        is_near = any(abs(row + 1 - jump) < _MIN_PIECE for jump in (*jumps, 0, count))
-        if change > 0.7 * steps[row] and not is_near and len(jumps) < _MAX_PIECES - 1:
-            jumps.append(row + 1)
-    return np.searchsorted(np.array(sorted(jumps), np.int64), np.arange(count), side="right")

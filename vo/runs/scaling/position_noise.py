@@ -35,13 +35,14 @@ class Noise(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """G groups of positions as rows (east, north and up of each), then further rows.
+    """G groups of positions as rows (east, north and up of each), ways, then further rows.
 
     Attributes:
         rows: all of them.
         times_s: (G,).
         white: (G,) variances of white errors, relative to those of one usual position.
         axes: (3,) standard deviations of the axes, relative to the usual one.
+        ways: covariance of the ways of wheels.
         further: covariance of the further rows.
     """
 
@@ -49,6 +50,7 @@ class Measured(NamedTuple):
     times_s: Floats
     white: Floats
     axes: Floats
+    ways: Floats
     further: Floats
 
     def covariance(self, noise: Noise, by_path: Sequence[Floats]) -> Floats:
@@ -61,7 +63,9 @@ class Measured(NamedTuple):
         for factor, part in zip(noise.factors, by_path, strict=True):
             total += factor * part
         total[:size, :size] += np.kron(of_group, np.diag(self.axes**2))
-        total[size:, size:] += self.further
+        end = size + len(self.ways)
+        total[size:end, size:end] += self.ways
+        total[end:, end:] += self.further
         return total
 
 
@@ -81,9 +85,10 @@ def estimate_noise(
     (`start_m`) within one of four, unless the positions say otherwise. Without drift the path is
     exact.
     """
-    by_path, size = errors.measured(measured.rows), 3 * len(measured.times_s)
-    duration = max(float(np.ptp(measured.times_s)), 1.0)
-    shortest = max(float(np.median(np.diff(measured.times_s))), 0.1)
+    by_path, times_s = errors.measured(measured.rows), measured.times_s
+    size = 3 * len(times_s) + len(measured.ways)
+    duration = max(float(np.ptp(times_s)), 1.0) if len(times_s) else 1.0
+    shortest = max(float(np.median(np.diff(times_s))), 0.1) if len(times_s) else 0.1
     low = [max(smallest_m, _SMALLEST_M), _SMALLEST_M, 0.5 * shortest]
     high = [1e3, 1e3, max(duration, shortest)]
     kinds = errors.kinds if has_drift else 0
@@ -104,6 +109,8 @@ def estimate_noise(
 
     usual = np.log([max(start_m, _SMALLEST_M), _SLOW_S])
     first = np.log([start.white_m, start.slow_m, start.time_s, *start.factors[:kinds]])
+    if not len(times_s):  # ways show the drift of the scale alone
+        lowest[:4], highest[:4] = first[:4], first[:4]
     best, value = _maximised(likelihood, np.clip(first, lowest, highest), lowest, highest)
     return noise_of(best), value
 

@@ -88,9 +88,10 @@ class PositionSource:
             first, last = int(stamps_ns[0]), int(stamps_ns[-1])
             raise SourceError(
                 f"{self.positions.name}: no position during the recording: positions from "
-                f"{_time(int(times[0]))} to {_time(int(times[-1]))}, images from {_time(first)} to "
-                f"{_time(last)}; if the clocks differ, give the difference by `offset_ns` "
-                f"(starting together: {1e-9 * (first - int(times[0])):.3f})"
+                f"{time_text(int(times[0]))} to {time_text(int(times[-1]))}, images from "
+                f"{time_text(first)} to {time_text(last)}; if the clocks differ, give the "
+                "difference by `offset_ns` (starting together: "
+                f"{1e-9 * (first - int(times[0])):.3f})"
             )
 
     def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
@@ -194,7 +195,7 @@ def _days_ns(times_ns: Ints, stamps_ns: Ints) -> int:
     return round(difference / NS_PER_DAY) * NS_PER_DAY
 
 
-def _time(stamp_ns: int) -> str:
+def time_text(stamp_ns: int) -> str:
     """A time as text: the date for stamps that can be Unix time."""
     if stamp_ns < 10 * 365 * NS_PER_DAY:
         return f"{1e-9 * stamp_ns:.3f} s"

@@ -93,21 +93,13 @@ def read_positions(given: str, recording: str | None = None) -> Positions:
     Raises:
         SourceError: the file is missing, damaged, or has no positions with times, or several.
     """
-    name, colon, topic = given.rpartition(":/")
-    path_text, wanted = (name, f"/{topic}") if colon else (given, None)
-    if path_text == AUTO:
-        if recording is None:
-            raise SourceError("`positions=auto` needs a recording with positions; give a file")
-        path_text = recording
-    path = Path(path_text)
-    if not path.exists():
-        raise SourceError(f"{path} does not exist; give `positions` a file of positions")
+    path, wanted = located(given, recording, "positions")
     for folder in (path, path / "oxts"):
         if folder.name == "oxts" and (folder / "timestamps.txt").is_file():
             return _of_table(read_oxts_positions(folder), str(folder))
-    log_format = _log_format(path)
-    if log_format:
-        return _from_log(open_container(path, log_format), wanted)
+    log = log_of(path)
+    if log is not None:
+        return _from_log(log, wanted)
     if path.is_dir():
         raise SourceError(
             f"{path} has no positions of another sensor (oxts, or a log); give a file"
@@ -115,12 +107,31 @@ def read_positions(given: str, recording: str | None = None) -> Positions:
     return _from_text(path)
 
 
-def _log_format(path: Path) -> str:
+def located(given: str, recording: str | None, option: str) -> tuple[Path, str | None]:
+    """File or folder of `FILE`, `LOG:/TOPIC`, `auto` or `auto:/TOPIC`, and the topic.
+
+    Raises:
+        SourceError: it does not exist; `option` is its name.
+    """
+    name, colon, topic = given.rpartition(":/")
+    path_text, wanted = (name, f"/{topic}") if colon else (given, None)
+    if path_text == AUTO:
+        if recording is None:
+            raise SourceError(f"`{option}=auto` needs a recording with {option}; give a file")
+        path_text = recording
+    path = Path(path_text)
+    if not path.exists():
+        raise SourceError(f"{path} does not exist; give `{option}` a file of {option}")
+    return path, wanted
+
+
+def log_of(path: Path) -> Log | None:
+    """A file or folder as a log; None if it is none."""
     try:
         name = detect_format(path)
     except (SourceError, OSError):
-        return ""
-    return name if FORMATS[name].has_topics else ""
+        return None
+    return open_container(path, name) if FORMATS[name].has_topics else None
 
 
 def _from_text(path: Path) -> Positions:

@@ -13,6 +13,7 @@ from vo.recordings.sources.source import FrameStream, Recording
 
 if TYPE_CHECKING:  # a run imports what it is given: together they take 30 ms
     from vo.runs.scaling.position_source import PositionSource
+    from vo.runs.scaling.wheel_source import WheelSource
     from vo.tools.markers.scale_source import MarkerSource
 
 _MAX_HEIGHT_M = 100.0
@@ -26,6 +27,7 @@ class ScaleOptions:
     Attributes:
         positions: `FILE`, `LOG:/TOPIC` or `auto`, None for no positions: they give the scale.
         gps: the same; they also move the path.
+        wheel: wheel odometry: `FILE`, `LOG:/TOPIC` or `auto`, None for none.
         offset_ns: added to the times of the positions.
         georeference: whether the path is placed on the globe.
         height_m: height of the camera above flat ground, None if it is unknown.
@@ -39,6 +41,7 @@ class ScaleOptions:
 
     positions: str | None = None
     gps: str | None = None
+    wheel: str | None = None
     offset_ns: int = 0
     georeference: bool = False
     height_m: float | None = None
@@ -50,10 +53,14 @@ class ScaleOptions:
 
 
 class ScaleSources(NamedTuple):
-    """All sources of scale of a run; `on_globe` and `markers` write files, `moves` the path."""
+    """All sources of scale of a run.
+
+    `moves` and `wheel` move the path, `on_globe` and `markers` write files.
+    """
 
     all: tuple[ScaleSource, ...] = ()
     moves: PositionSource | None = None
+    wheel: WheelSource | None = None
     on_globe: PositionSource | None = None
     markers: MarkerSource | None = None
 
@@ -63,6 +70,7 @@ def make_scale_sources(
     others: Sequence[ScaleSource],
     stream: FrameStream,
     recording: str | None,
+    topics: Sequence[str] = (),
 ) -> ScaleSources:
     """Read and check what measures the scale, before the run.
 
@@ -71,6 +79,7 @@ def make_scale_sources(
         others: sources of a program of one's own.
         stream: the recording.
         recording: its path, None if it has none.
+        topics: options that choose its cameras.
 
     Raises:
         ConfigError: options contradict each other or the recording.
@@ -86,15 +95,12 @@ def make_scale_sources(
                 "leaves the right camera out)"
             )
         others = (_height_source(options.height_m), *others)
+    wheel = _wheel(options, stream, recording, topics)
+    others = others if wheel is None else (wheel, *others)
     given = options.positions if options.gps is None else options.gps
     if given is None:
-        if options.georeference:
-            raise ConfigError("`georeference` needs positions: give them by `gps`")
-        if options.offset_ns:
-            raise ConfigError("`offset_ns` is for the positions of `gps`; give both")
-        if options.lever_arm_m is not None:
-            raise ConfigError("`lever_arm_m` is for the positions of `gps`; give both")
-        return ScaleSources(tuple(others), markers=markers)
+        _check_without_positions(options)
+        return ScaleSources(tuple(others), wheel=wheel, markers=markers)
     _check_gps(options)
     from vo.runs.scaling.position_source import PositionSource
     from vo.runs.scaling.positions import read_positions
@@ -113,6 +119,7 @@ def make_scale_sources(
     return ScaleSources(
         (source, *others),
         None if options.gps is None else source,
+        wheel,
         source if options.georeference else None,
         markers,
     )
@@ -124,6 +131,31 @@ def _height_source(height_m: float) -> ScaleSource:
     if not 0.0 < height_m <= _MAX_HEIGHT_M:
         raise ConfigError(f"`height_m` is {height_m:g}; give metres above the ground, such as 1.65")
     return HeightSource(height_m)
+
+
+def _wheel(
+    options: ScaleOptions, stream: FrameStream, recording: str | None, topics: Sequence[str]
+) -> WheelSource | None:
+    if options.wheel is None:
+        return None
+    from vo.runs.scaling.wheel_odometry import read_wheel
+    from vo.runs.scaling.wheel_source import WheelSource
+
+    wheel = WheelSource(
+        read_wheel(options.wheel, recording, topics), is_metric=stream.rig.is_metric
+    )
+    if isinstance(stream, Recording):
+        wheel.check_times(stream.stamps_ns)
+    return wheel
+
+
+def _check_without_positions(options: ScaleOptions) -> None:
+    if options.georeference:
+        raise ConfigError("`georeference` needs positions: give them by `gps`")
+    if options.offset_ns:
+        raise ConfigError("`offset_ns` is for the positions of `gps`; give both")
+    if options.lever_arm_m is not None:
+        raise ConfigError("`lever_arm_m` is for the positions of `gps`; give both")
 
 
 def _check_gps(options: ScaleOptions) -> None:

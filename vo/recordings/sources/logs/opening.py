@@ -51,7 +51,7 @@ def open_log(
     `calibration`: file that overrides the calibration in the log.
     """
     choice = choose_topics(log.topics, topics, mode)
-    opened = _ChosenLog(log, choice)
+    opened = ChosenLog(log, choice)
     faults: list[Fault] = []
     names = [topic.name for topic in (choice.left, choice.right) if topic is not None]
     _log.info("%s: images of %s", log.path, " and ".join(names))
@@ -83,7 +83,7 @@ def open_log(
     return assemble(contents, mode)
 
 
-class _ChosenLog:
+class ChosenLog:
     """The chosen topics of a log and the messages that describe its cameras."""
 
     def __init__(self, log: Log, choice: ChosenTopics) -> None:
@@ -142,11 +142,11 @@ class _ChosenLog:
 
     def imus(self, calibration: Calibration | None) -> list[Imu]:
         """The inertial sensors."""
+        return log_imus(self._log, self._imus, self.cam0_from, imu_of(calibration))
 
-        def find_extrinsics(frame: str) -> Floats | None:
-            return self._frames.between(self._frame(self._choice.left), frame) if frame else None
-
-        return log_imus(self._log, self._imus, find_extrinsics, imu_of(calibration))
+    def cam0_from(self, frame: str) -> Floats | None:
+        """The (4, 4) pose of a frame in that of the left camera, None if it is unknown."""
+        return self._frames.between(self._frame(self._choice.left), frame) if frame else None
 
     def _camera(self, image: Topic) -> LogCamera:
         return find_camera(self._log, image, self._frame(image), self._calibrations, self.entries)
