@@ -12,6 +12,7 @@ class ImageDefect(StrEnum):
     BLACK = "almost black"
     WHITE = "almost white"
     ONE_GREY = "of one grey"
+    CUT = "cut off"
     SMALL = "very small"
     DARK = "dark"
     LOW_CONTRAST = "of low contrast"

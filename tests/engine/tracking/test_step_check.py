@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -141,3 +143,20 @@ def test_single_frames_and_new_maps_are_no_fault() -> None:
         agreement.update(few)
     agreement.restart()
     assert agreement.update(few) == ()
+
+
+@pytest.mark.parametrize(
+    ("correlation", "ratio", "is_fault"),
+    [(0.92, 0.33, True), (0.96, 0.33, False), (0.86, 0.5, False)],
+    ids=["moving light", "quick turns", "dark"],
+)
+def test_a_scene_that_changes_its_look_is_a_fault(
+    correlation: float, ratio: float, is_fault: bool
+) -> None:
+    agreement = MapAgreement()
+    frame = tracked(0.0, ratio)
+    scored = replace(frame, observed=replace(NOTHING, score=np.full(100, correlation)))
+    found = [agreement.update(scored) for _ in range(40)]
+    assert not any(found[:29])
+    kinds = [fault.kind for fault in found[-1]]
+    assert kinds == [FaultKind.CHANGING_APPEARANCE] * is_fault

@@ -22,6 +22,7 @@ from vo.engine.frontend.image_faults import ImageFaults, size_faults
 from vo.engine.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.engine.frontend.image_repetition import Repetition, RepetitionDetector
 from vo.engine.frontend.lazy_future import LazyFuture, finished
+from vo.engine.frontend.missing_rows import MissingRows
 from vo.engine.frontend.pair_check import PairCheck
 from vo.engine.frontend.pair_matching import View
 from vo.engine.frontend.recent_frames import RecentFrames, RecordedFrame
@@ -157,6 +158,7 @@ class FramePreprocessor:
         self._second = second
         self._repetition = RepetitionDetector()
         self._image_faults = ImageFaults()
+        self._missing_rows = MissingRows()
         self._contrast = ContrastCorrection()
         self._size_faults = size_faults(rig.width * rig.height)
         self._image_fixed = ImageFixedDetector(rig.fx * rig.baseline_m)
@@ -212,7 +214,8 @@ class FramePreprocessor:
         frame = replace(frame, images=images)
         left_change = self._repetition.update(frame.images)[0]
         self._image_faults.update(frame.image0)
-        faults = self._size_faults + self._image_faults.faults
+        frame, missing = self._missing_rows.update(frame)
+        faults = self._size_faults + self._image_faults.faults + missing
         if self._rig.is_metric and self._repetition.is_right_frozen:
             frame = replace(frame, images=frame.images[:1])
             faults = (

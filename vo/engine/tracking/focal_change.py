@@ -7,14 +7,9 @@ from collections import deque
 import numpy as np
 
 from vo.base.faults import Fault, FaultKind
-from vo.base.geometry.rectification import RectifiedRig
-from vo.base.geometry.transforms import inverse
-from vo.base.types import Floats
-from vo.engine.mapping.tracked_frame import TrackedFrame
+from vo.engine.tracking.pose_residuals import PoseResiduals, median_length
 
-_EXAMINED, _RECENT = 3, 4  # every third frame; the newest four of these are averaged
-_LANDMARKS = 200  # examined; enough for 0.1 %
-_ITERATIONS, _CAUCHY = 3, 3.0  # robust fit; scale in standard deviations of a pixel
+_RECENT = 4  # newest frames examined, which are averaged
 # Recordings of lenses as calibrated have at most 0.0036 and 4.5 standard deviations, also with
 # wrong distortion; a zoom by 3 % within 1.5 s has 0.016 and 27.
 _MIN_CHANGE, _MIN_SIGNIFICANCE = 0.007, 8.0
@@ -31,24 +26,28 @@ class FocalChangeDetector:
 
     A pose is fitted to the landmarks in view together with a scale of the image about its principal
     point. Moving forward enlarges near things more than far ones, a longer focal length all alike.
+
+    Attributes:
+        faults: that the focal length has changed, if it has.
     """
 
-    def __init__(self, rig: RectifiedRig) -> None:
-        self._rig = rig
-        self._frames = 0
+    def __init__(self) -> None:
+        self.faults: tuple[Fault, ...] = ()
         self._is_settled = False
         self._recent: deque[tuple[float, float, float]] = deque(maxlen=_RECENT)
 
     def restart(self) -> None:
         """Begin anew, with another map."""
         self._recent.clear()
+        self.faults = ()
         self._is_settled = False
 
-    def update(self, xyz: Floats, tracked: TrackedFrame) -> tuple[Fault, ...]:
-        """That the focal length has changed, if it has, from a frame and its landmarks (n, 3)."""
-        self._frames += 1
-        if self._frames % _EXAMINED == 0:
-            self._recent.append(self._change(xyz, tracked))
+    def update(self, residuals: PoseResiduals) -> None:
+        """Examine the next frame."""
+        self._recent.append(self._change(residuals))
+        self.faults = self._faults()
+
+    def _faults(self) -> tuple[Fault, ...]:
         if len(self._recent) < _RECENT:
             return ()
         change, sigma, explained = np.array(self._recent).T
@@ -60,38 +59,13 @@ class FocalChangeDetector:
             return ()
         return (Fault(FaultKind.FOCAL_LENGTH_CHANGE, value=mean),)
 
-    def _change(self, xyz: Floats, tracked: TrackedFrame) -> tuple[float, float, float]:
+    @staticmethod
+    def _change(residuals: PoseResiduals) -> tuple[float, float, float]:
         """Relative change of the focal length, its sigma, and by what it divides residuals."""
-        step = len(xyz) // _LANDMARKS + 1
-        rig, observed = self._rig, tracked.observed
-        cam_from_world = inverse(tracked.world_from_cam)
-        p = xyz[::step] @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
-        x, y, near = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2], 1.0 / p[:, 2]
-        found = (observed.xy[::step] - (rig.cx, rig.cy)) / (rig.fx, rig.fy)
-        error = np.concatenate([found[:, 0] - x, found[:, 1] - y])
-        none, one = np.zeros(len(x)), np.ones(len(x))
-        # Derivatives of x and y by translation, rotation and scale of the image.
-        by_x = [near, none, -x * near, -x * y, one + x * x, -y, x]
-        by_y = [none, near, -y * near, -one - y * y, x * y, x, y]
-        jacobian = np.concatenate([np.stack(by_x, axis=1), np.stack(by_y, axis=1)])
-        sigma = np.tile(observed.sigma_px[::step] / rig.fx, 2)
-        left = error
-        for _ in range(_ITERATIONS):
-            squares = (left / sigma) ** 2
-            both = squares[: len(x)] + squares[len(x) :]
-            weighted = jacobian.T / (np.tile(1.0 + both / _CAUCHY**2, 2) * sigma**2)
-            information = weighted @ jacobian
-            try:
-                covariance = np.linalg.inv(information)
-            except np.linalg.LinAlgError:  # too few landmarks
-                return 0.0, np.inf, 1.0
-            solution = covariance @ (weighted @ error)
-            left = error - jacobian @ solution
-        pose = np.linalg.solve(information[:6, :6], weighted[:6] @ error)
-        unscaled = _median(error - jacobian[:, :6] @ pose)
-        return float(solution[6]), covariance[6, 6] ** 0.5, unscaled / max(_median(left), 1e-12)
-
-
-def _median(residuals: Floats) -> float:
-    """Median length of (2n,) residuals along x, and along y."""
-    return float(np.median(np.hypot(*residuals.reshape(2, -1))))
+        fit = residuals.fit(residuals.xy.reshape(-1, 1))
+        if fit is None:  # too few landmarks
+            return 0.0, np.inf, 1.0
+        variance = np.linalg.inv(fit.information)[6, 6]
+        pose = np.linalg.solve(fit.information[:6, :6], fit.weighted[:6] @ residuals.error)
+        unscaled = median_length(residuals.error - residuals.by_pose @ pose)
+        return float(fit.values[6]), variance**0.5, unscaled / max(median_length(fit.left), 1e-12)

@@ -30,9 +30,11 @@ from vo.engine.tracking.focal_change import FocalChangeDetector
 from vo.engine.tracking.landmark_alignment import KltAligner, LandmarkAligner
 from vo.engine.tracking.motion_model import MotionModel, PosePrior
 from vo.engine.tracking.pose_estimation import PoseEstimator
+from vo.engine.tracking.pose_residuals import pose_residuals
 from vo.engine.tracking.rolling_shutter import RollingShutter
 from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
 from vo.engine.tracking.step_check import MapAgreement, Step, StepCheck
+from vo.engine.tracking.torn_images import TornImageDetector
 from vo.engine.tracking.visibility import outside, visible_landmarks
 
 # Radii of the search windows, tried in turn, in units of the configured one.
@@ -43,6 +45,7 @@ _MIN_SPARSE_RATIO = 0.5
 # Minimum ratio of the landmarks in view that confirm the first step of a segment at once. With
 # less, something that moves with the camera may be what was found: all other poses are tried.
 _MIN_FIRST_RATIO = 0.5
+_EXAMINED = 3  # residuals of every third frame are examined
 
 
 class _InitialPose(NamedTuple):
@@ -84,7 +87,9 @@ class Tracker:
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
         self._steps = StepCheck(is_metric=local_map.rig.is_metric)
         self._agreement = MapAgreement()
-        self._focal_change = FocalChangeDetector(local_map.rig)
+        self._focal_change = FocalChangeDetector()
+        self._torn_images = TornImageDetector(local_map.rig.height)
+        self._updates = 0
         self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
 
     @property
@@ -109,8 +114,13 @@ class Tracker:
         self._motion.update(frame.stamp_ns, tracked.world_from_cam)
         self.last = last_frame(frame, tracked)
         self.knows_velocity = True
-        xyz = self._map.xyz[tracked.observed.rows]
-        return self._agreement.update(tracked) or self._focal_change.update(xyz, tracked)
+        self._updates += 1
+        if self._updates % _EXAMINED == 0:
+            residuals = pose_residuals(self._map.rig, self._map.xyz, tracked)
+            self._focal_change.update(residuals)
+            self._torn_images.update(residuals)
+        found = self._focal_change.faults + self._torn_images.faults
+        return self._agreement.update(tracked) or found
 
     def restart_at(self, stamp_ns: int, world_from_cam: Floats) -> None:
         """Expect a new map, with a camera at this pose (4, 4) of unknown velocity."""

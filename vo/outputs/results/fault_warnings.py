@@ -25,6 +25,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "{value:.0%} of the map in view do not agree with the motion found: something large that "
         "moves may fill the image, and which motion is the camera's is uncertain: {frames}",
     ),
+    FaultKind.CHANGING_APPEARANCE: (
+        "{value:.0%} of the landmarks in view are not found again: {frames}",
+        "{value:.0%} of the landmarks in view are not found where they should be, as the scene "
+        "changes its look (light that moves, as under water, a screen, snow, or leaves?), so that "
+        "the path is inaccurate: {frames}; record in steady light",
+    ),
     FaultKind.REPEATED_IMAGES: (
         "images repeat the one before while the camera moves, and get no pose: {frames}; check the "
         "camera driver",
@@ -67,6 +73,17 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "odd and even rows of images were taken at different times (interlaced video; they "
         "alternate at up to {value:.1%} of the pixels), which bends what moves: {frames}; "
         "deinterlace the video first, or keep every second row (and halve fy and cy)",
+    ),
+    FaultKind.TORN_IMAGES: (
+        "images are torn at a row: {frames}",
+        "images are torn: from a row on they show another time or place than above it, in "
+        "{value:.0%} of those examined (no vertical synchronisation, or lost rows?), so that the "
+        "path is inaccurate: {frames}; record the images as the camera gives them, each complete",
+    ),
+    FaultKind.MISSING_ROWS: (
+        "up to {value:.0%} of the rows of images are missing (of one grey, as a damaged stream "
+        "leaves them) and are left out: {frames}",
+        "up to {value:.0%} of the rows of images are missing (of one grey): {frames}",
     ),
     FaultKind.IMPLAUSIBLE_STEP: (
         "a step that neither the motion before nor that after supports gets no pose: {frames} "
