@@ -13,8 +13,9 @@ from vo.base.config import MasksConfig
 from vo.base.errors import ConfigError
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
+from vo.base.images.recorded_masks import read_mask
 from vo.base.types import Bools, Bytes, Camera, Rig
-from vo.engine.frontend.static_masks import StaticMasks, read_mask, recorded_masks
+from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
 
 WIDTH, HEIGHT = 160, 120
 CAMERA = Camera(WIDTH, HEIGHT, 100.0, 100.0, 79.5, 59.5)

@@ -48,14 +48,14 @@ class PoseResiduals(NamedTuple):
         left = self.error
         for _ in range(_ITERATIONS):
             weight = np.tile(1.0 + self.squares(left) / _CAUCHY**2, 2) * self.sigma**2
-            weighted = columns.T / weight
+            weighted = np.asarray(columns.T / weight, np.float64)
             information = weighted @ columns
             try:
                 values = np.linalg.solve(information, weighted @ self.error)
             except np.linalg.LinAlgError:
                 return None
             left = self.error - columns @ values
-        return PoseFit(values, information, weighted, left)
+        return PoseFit(np.asarray(values, np.float64), information, weighted, left)
 
     def squares(self, left: Floats) -> Floats:
         """(n,) squared lengths of residuals (2n,) in standard deviations."""

@@ -51,12 +51,12 @@ class TornImageDetector:
         if cost < _SOUND:
             return False
         row = self._best_row(residuals, pose)
-        jump = residuals.fit(_both(1.0 * (residuals.row > row)))
+        jump = residuals.fit(_both(np.asarray(residuals.row > row, np.float64)))
         if jump is None or residuals.cost(jump.left) > _MAX_COST * cost:
             return False
         if median_length(pose.left) < _MIN_EXPLAINED * median_length(jump.left):
             return False
-        shear = residuals.fit(_both(residuals.row / self._height - 0.5))
+        shear = residuals.fit(_both(np.asarray(residuals.row / self._height - 0.5, np.float64)))
         if shear is None:
             return False
         return residuals.cost(jump.left) < _MAX_COST_TO_SHEAR * residuals.cost(shear.left)
@@ -70,7 +70,7 @@ class TornImageDetector:
         weight = 1.0 / (residuals.sigma[:n] ** 2 * (1.0 + residuals.squares(pose.left) / 9.0))
         gain = np.zeros(len(rows))
         for i in np.flatnonzero((parts >= _MIN_PART) & (n - parts >= _MIN_PART)):
-            columns = _both(1.0 * below[i])
+            columns = _both(np.asarray(below[i], np.float64))
             shared = pose.weighted @ columns
             own = np.eye(2) * weight[below[i]].sum()
             left = own - shared.T @ np.linalg.solve(pose.information, shared)
