@@ -14,13 +14,12 @@ from subprocess import Popen
 import cv2
 
 from vo.base.config import Config
-from vo.base.failures import Failure, FailureReason, ImageDefect
+from vo.base.failures import Failure
 from vo.base.faults import Fault, FaultKind
 from vo.base.records.calibration_errors import CalibrationErrors
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Estimate, Frame, PredictedPose, Rig, Snapshot, State
 from vo.engine.frontend.lazy_future import LazyFuture
-from vo.engine.frontend.missing_rows import MAX_MISSING_RATIO, ratio_of_missing_rows
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.learned.inference import networks_used
 from vo.engine.mapping.keyframe import Keyframe
@@ -176,10 +175,8 @@ class Odometry:
 
     def _track(self, frame: PreprocessedFrame) -> FrameResult:
         """Align a frame to the last one, track it in the map, and ask whether that needs it."""
-        if self._recovery.is_frozen(frame):
-            return FrameResult(frame, failure=Failure(FailureReason.REPEATED_IMAGE))
-        if ratio_of_missing_rows(frame.faults) > MAX_MISSING_RATIO:
-            failure = Failure(FailureReason.IMAGE_DEFECT, defect=ImageDefect.CUT)
+        failure = self._recovery.why_useless(frame)
+        if failure is not None:
             return FrameResult(frame, failure=failure)
         last, last_from_cam = self._tracker.last, None
         if self._recovery.state is State.TRACKING:
@@ -206,9 +203,7 @@ class Odometry:
 
     def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:
         change = self._policy.change_since_last(self._map, frame, tracked)
-        is_keyframe = self._policy.needs_keyframe(change)
-        # What an image lacks would seem to have left the view.
-        is_keyframe &= ratio_of_missing_rows(frame.faults) == 0.0
+        is_keyframe = self._policy.needs_keyframe(change) and not frame.missing_ratio
         self._expects_keyframe = self._forecast.expects_next(change, is_keyframe=is_keyframe)
         return is_keyframe
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from vo.base.failures import Failure
+from vo.base.failures import Failure, FailureReason, ImageDefect
 from vo.base.types import Floats, State
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.inertial.prediction import InertialPredictor
@@ -17,6 +17,7 @@ from vo.engine.tracking.frozen_camera import FrozenCamera
 from vo.engine.tracking.rescue import Rescue
 from vo.engine.tracking.tracker import Tracker
 
+_MAX_MISSING_RATIO = 0.5  # of the rows of an image
 _MAX_PREDICTED_S = 1.5  # lost frames that an inertial sensor predicts
 
 
@@ -77,9 +78,16 @@ class Recovery:
             if self._policy.gives_up(self._lost):
                 yield from self._start_segment()
 
-    def is_frozen(self, frame: PreprocessedFrame) -> bool:
-        """Whether a frame repeats the one before, although the camera moves."""
-        return self._frozen_camera.is_frozen(frame, self.segment)
+    def why_useless(self, frame: PreprocessedFrame) -> Failure | None:
+        """Why a frame is not tracked: it repeats the one before as the camera moves, or lacks rows.
+
+        Poses of images that lack more than half are inaccurate: 14 mm in a hall with one camera in
+        which those of whole images have 6 mm.
+        """
+        if frame.missing_ratio > _MAX_MISSING_RATIO:
+            return Failure(FailureReason.IMAGE_DEFECT, defect=ImageDefect.CUT)
+        is_frozen = self._frozen_camera.is_frozen(frame, self.segment)
+        return Failure(FailureReason.REPEATED_IMAGE) if is_frozen else None
 
     def resume(self, tracked: TrackedFrame) -> list[FrameId]:
         """The frozen frames before a tracked one that have the last pose after all."""

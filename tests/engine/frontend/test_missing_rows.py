@@ -9,7 +9,7 @@ import pytest
 from numpy.random import default_rng
 
 from vo.base.types import Bytes, Frame
-from vo.engine.frontend.missing_rows import MissingRows, ratio_of_missing_rows
+from vo.engine.frontend.missing_rows import MissingRows
 
 WHOLE = np.asarray(default_rng(0).integers(0, 256, (200, 320)), np.uint8)
 
@@ -28,7 +28,7 @@ def faded() -> Bytes:
 def found(*images: Bytes) -> list[tuple[Frame, float]]:
     rows = MissingRows()
     frames = [rows.update(Frame(i, i * 50_000_000, (image,))) for i, image in enumerate(images)]
-    return [(frame, ratio_of_missing_rows(faults)) for frame, faults in frames]
+    return [(frame, sum(fault.value for fault in faults)) for frame, faults in frames]
 
 
 @pytest.mark.parametrize("grey", [0, 128])

@@ -14,9 +14,6 @@ _WHITE = 255  # overexposed sky is a band of one grey, too
 # Of the first row beside the band, this ratio of pixels differs from it by so many grey levels;
 # where light fades, or a dark floor begins, fewer do.
 _MIN_RATIO, _MIN_STEP = 0.75, 4
-# Poses of images that lack more are inaccurate: with one camera 14 mm in a hall in which those of
-# whole images have 6 mm.
-MAX_MISSING_RATIO = 0.5
 
 
 class MissingRows:
@@ -40,11 +37,6 @@ class MissingRows:
         mask[: missing[0]] = mask[height - missing[1] :] = 0
         fault = Fault(FaultKind.MISSING_ROWS, is_handled=True, value=sum(missing) / height)
         return replace(frame, mask=mask), (fault,)
-
-
-def ratio_of_missing_rows(faults: tuple[Fault, ...]) -> float:
-    """Ratio of the rows that an image with these faults lacks."""
-    return max((f.value for f in faults if f.kind is FaultKind.MISSING_ROWS), default=0.0)
 
 
 def _band(image: Bytes) -> int:

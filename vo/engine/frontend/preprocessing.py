@@ -89,6 +89,11 @@ class PreprocessedFrame:
         return image
 
     @property
+    def missing_ratio(self) -> float:
+        """Ratio of the rows of the image of camera 0 that are missing."""
+        return sum(fault.value for fault in self.faults if fault.kind is FaultKind.MISSING_ROWS)
+
+    @property
     def keypoints(self) -> Keypoints:
         """The features of camera 0."""
         features = self.features[0]

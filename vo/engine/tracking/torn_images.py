@@ -27,22 +27,22 @@ _RECENT, _NEEDED = 40, 5  # newest frames examined, and how many of them need to
 
 
 class TornImageDetector:
-    """Fits a jump of the image at a row to the residuals of landmarks."""
+    """Fits a jump of the image at a row to the residuals of landmarks.
+
+    Attributes:
+        faults: that images are torn, if many are.
+    """
 
     def __init__(self, height: int) -> None:
         self._height = height
         self._torn: deque[bool] = deque(maxlen=_RECENT)
+        self.faults: tuple[Fault, ...] = ()
 
     def update(self, residuals: PoseResiduals) -> None:
         """Examine the next frame."""
         self._torn.append(self._is_torn(residuals))
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """That images are torn, if many are."""
-        if sum(self._torn) < _NEEDED:
-            return ()
-        return (Fault(FaultKind.TORN_IMAGES, value=sum(self._torn) / len(self._torn)),)
+        fault = Fault(FaultKind.TORN_IMAGES, value=sum(self._torn) / len(self._torn))
+        self.faults = (fault,) if sum(self._torn) >= _NEEDED else ()
 
     def _is_torn(self, residuals: PoseResiduals) -> bool:
         if len(residuals.row) < _MIN_LANDMARKS or (pose := residuals.fit()) is None:
