@@ -94,6 +94,22 @@ class ObjectDatabase:
             image_names=[each for each, _ in pairs],
         )
 
+    def learn(self, name: str, run: str | Path, *, radius: float | None = None) -> None:
+        """Add a solid object, from a run around it (`vo run`) whose recording is where it was.
+
+        Args:
+            name: unique.
+            run: folder of the run.
+            radius: of the sphere that contains the object, around where the views cross, in the
+                unit of the run; by default 0.4 of the smaller side of the images.
+
+        Raises:
+            InputError: the name is taken or unusable, or the views do not show an object from
+                several sides, with texture.
+            SourceError: the run or its recording is missing or damaged.
+        """
+        self._objects.learn(name, Path(run), radius=radius)
+
     def remove(self, name: str) -> None:
         """Remove an object.
 
@@ -115,7 +131,7 @@ class ObjectDatabase:
         Args:
             image: (H, W) or (H, W, 3) array of uint8 or uint16, the path of an image, or
                 `RECORDING:NUMBER`.
-            calibration: of its camera, for the poses of objects of known width.
+            calibration: of its camera, for solids, and for the poses of objects of known width.
             threshold: minimum confidence, 0 to 1.
             colour: order of the channels of an array in colour.
 

@@ -18,6 +18,7 @@ class RecognizeAction(StrEnum):
     """What to do."""
 
     ADD = "add"
+    LEARN = "learn"
     LIST = "list"
     REMOVE = "remove"
     FIND = "find"
@@ -28,7 +29,8 @@ class Request:
     """Arguments and options of the command."""
 
     action: RecognizeAction = argument(
-        "add NAME IMAGE…: store an object; list: what is stored; remove NAME: forget an "
+        "add NAME IMAGE…: store an object; learn NAME RUN: store a solid one, from a run around "
+        "it; list: what is stored; remove NAME: forget an "
         "object; find IMAGE… or find RECORDING: search for all objects.",
         metavar="ACTION",
     )
@@ -47,8 +49,14 @@ class Request:
     width: float | None = option(
         "Width in metres of what the first image shows, for poses (add).", default=None, metavar="M"
     )
+    radius: float | None = option(
+        "Radius of the sphere that contains a solid object, in the unit of the run (learn).",
+        default=None,
+        metavar="LENGTH",
+        show_default="as it fills the images",
+    )
     detector: str | None = option(
-        "What finds features, for a new database: sift, orb, akaze, aliked, … (add).",
+        "What finds features, for a new database: sift, orb, akaze, aliked, … (add, learn).",
         default=None,
         metavar="NAME",
         show_default="sift",
@@ -102,6 +110,12 @@ def recognize_command(
     Follow them through a recording, with their poses in every frame:
 
       vo recognize find walk.mp4 --calibration camera.yaml --csv found.csv --video named.mp4
+
+    Learn a solid object by walking around it, and find it elsewhere:
+
+      vo run around_the_mug.mp4 -o mug_run --calibration camera.yaml
+      vo recognize learn mug mug_run
+      vo recognize find desk.jpg --calibration camera.yaml --picture found.png
 
     Search photos and folders of photos:
 

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 _USAGE = {
     "add": "vo recognize add NAME IMAGE…",
+    "learn": "vo recognize learn NAME RUN",
     "list": "vo recognize list",
     "remove": "vo recognize remove NAME",
     "find": "vo recognize find IMAGE…, or find RECORDING",
@@ -56,6 +57,8 @@ def run_request(request: Request) -> bool:
         return _find(request)
     if request.action == "add":
         _add(request)
+    elif request.action == "learn":
+        _learn(request)
     elif request.action == "remove":
         database = ObjectDatabase.load(request.database)
         database.remove(request.words[0])
@@ -68,12 +71,16 @@ def run_request(request: Request) -> bool:
 
 def _check(request: Request) -> None:
     count = len(request.words)
-    allowed = {"add": count >= 2, "list": count == 0, "remove": count == 1, "find": count >= 1}
-    if not allowed[request.action]:
+    few = {"add": 2, "learn": 2, "list": 0, "remove": 1, "find": 1}[request.action]
+    if count < few or (count > few and request.action not in ("add", "find")):
         raise ConfigError(f"{count} words after {request.action}; give {_USAGE[request.action]}")
-    for name, given in (("--width", request.width), ("--detector", request.detector)):
-        if given is not None and request.action != "add":
-            raise ConfigError(f"{name} belongs to `{_USAGE['add']}`")
+    for name, given, action in (
+        ("--width", request.width, "add"),
+        ("--radius", request.radius, "learn"),
+        ("--detector", request.detector, "learn" if request.action == "learn" else "add"),
+    ):
+        if given is not None and request.action != action:
+            raise ConfigError(f"{name} belongs to `{_USAGE[action]}`")
     of_find = {
         "--picture": request.picture,
         "--video": request.video,
@@ -89,15 +96,7 @@ def _check(request: Request) -> None:
 def _add(request: Request) -> None:
     name, *paths = request.words
     refuse_to_overwrite([Path(path) for path in paths], [request.database])
-    if request.database.exists():
-        database = ObjectDatabase.load(request.database)
-        if request.detector not in (None, database.detector):
-            raise ConfigError(
-                f"{request.database} has features of {database.detector}, not {request.detector}; "
-                "leave --detector out, or give another --database"
-            )
-    else:
-        database = ObjectDatabase(request.detector or DETECTOR)
+    database = _database(request)
     images = [read_single_image(path) for path in paths]
     added = database.add(
         name,
@@ -113,6 +112,32 @@ def _add(request: Request) -> None:
         f"added {name}: {record['features']} features of {record['sides']} "
         f"{'side' if record['sides'] == 1 else 'sides'}",
     )
+
+
+def _learn(request: Request) -> None:
+    name, run = request.words
+    database = _database(request)
+    with counting(request.printing.errors, run, 0) as step:
+        made = database.learn(name, Path(run), radius=request.radius, step=step)
+    database.save(request.database)
+    assert made.solid is not None
+    size = " x ".join(f"{side:.3g}" for side in np.ptp(made.solid.box, axis=0))
+    unit = " m" if made.solid.is_metric else ", without a unit: poses need a run in metres"
+    text = f"learned {name}: {made.features} features of {made.images} views, {size}{unit}"
+    _report(request, database, text)
+
+
+def _database(request: Request) -> ObjectDatabase:
+    """The database to add to, which may be a new one."""
+    if not request.database.exists():
+        return ObjectDatabase(request.detector or DETECTOR)
+    database = ObjectDatabase.load(request.database)
+    if request.detector not in (None, database.detector):
+        raise ConfigError(
+            f"{request.database} has features of {database.detector}, not {request.detector}; "
+            "leave --detector out, or give another --database"
+        )
+    return database
 
 
 def _report(request: Request, database: ObjectDatabase, text: str) -> None:
@@ -135,9 +160,9 @@ def _list(request: Request, database: ObjectDatabase) -> None:
         for each in database.objects:
             record = object_record(each)
             width = "" if record["width_m"] is None else f", {record['width_m']:.3g} m wide"
+            sides = f"sides {record['sides']}" if each.parts else "solid"
             echo(
-                f"{each.name}: {record['features']} features, images {each.images}, "
-                f"sides {record['sides']}{width}"
+                f"{each.name}: {record['features']} features, images {each.images}, {sides}{width}"
             )
 
     request.printing.show(lambda: _database_record(request.database, database), text)

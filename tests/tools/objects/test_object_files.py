@@ -90,7 +90,7 @@ def test_other_files_are_named(tmp_path: Path, file: Path) -> None:
     data = bytearray(file.read_bytes())
     data[8] = 9
     other.write_bytes(data)
-    with pytest.raises(SourceError, match="version 9, this vo reads 1; update vo"):
+    with pytest.raises(SourceError, match="version 9, this vo reads 2; update vo"):
         read_objects(other)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -174,6 +175,8 @@ class DescriptorKind(NamedTuple):
 
 
 _SCALE_SPACE = ("akaze", "kaze")
+# By default OpenCV's SIFT is off by 0.25 px in both directions.
+PRECISE_SIFT = {"enable_precise_upscale": True}
 
 DESCRIPTORS: dict[str, DescriptorKind] = {
     "rbrief": DescriptorKind("", "rotated BRIEF, 256 bits, as `vo run` uses it"),
@@ -206,6 +209,8 @@ def make_descriptor(name: str, base_size: float) -> Descriptor:
     if not kind.algorithm:
         return RotatedBrief(base_size)
     create = require_algorithm(kind.algorithm, f"descriptor '{name}'")
+    if kind.algorithm == "SIFT":
+        create = partial(create, **PRECISE_SIFT)
     return OpenCvDescriptor(create, kind.finish, keeps_class=name in (*_SCALE_SPACE, "opencv_orb"))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from vo.base.config import FeaturesConfig
 from vo.base.types import Bytes
+from vo.engine.features.descriptors import PRECISE_SIFT
 from vo.engine.features.detections import Detections, Detector, at_points, from_opencv
 from vo.engine.features.opencv import has_algorithm, require_algorithm
 from vo.engine.frontend.contracts import FeatureExtractor
@@ -171,7 +172,7 @@ DETECTORS: dict[str, DetectorKind] = {
         31.0,
         lambda config: {"nfeatures": 2 * config.count, "fastThreshold": config.threshold},
     ),
-    "sift": _opencv("sift", "SIFT", "rootsift", 3.2),
+    "sift": _opencv("sift", "SIFT", "rootsift", 3.2, lambda _: PRECISE_SIFT),
     "mser": _opencv(
         "mser",
         "MSER",

@@ -60,7 +60,12 @@ def make_object(
     Raises:
         InputError: it cannot be recognised, or a value is unusable.
     """
-    _check(name, width_m)
+    check_name(name)
+    if width_m is not None and not 0.0 < width_m <= _MAX_WIDTH_M:
+        raise InputError(
+            f"the width is {width_m:g} m; give metres, more than 0 and at most {_MAX_WIDTH_M:g}, "
+            "such as 0.21"
+        )
     if not images:
         raise InputError(f"object '{name}' has no image; give one or more")
     parts: list[Part] = []
@@ -81,16 +86,12 @@ def make_object(
     return StoredObject(name, tuple(parts), len(images)), centre
 
 
-def _check(name: str, width_m: float | None) -> None:
+def check_name(name: str) -> None:
+    """Raise an InputError for a name that is empty, too long, or has control characters."""
     if not name.strip() or len(name) > _MAX_NAME or not name.isprintable():
         raise InputError(
             f"the name '{printable(name[:_MAX_NAME])}' is empty, longer than {_MAX_NAME} "
             "characters, or has control characters; choose another"
-        )
-    if width_m is not None and not 0.0 < width_m <= _MAX_WIDTH_M:
-        raise InputError(
-            f"the width is {width_m:g} m; give metres, more than 0 and at most {_MAX_WIDTH_M:g}, "
-            "such as 0.21"
         )
 
 

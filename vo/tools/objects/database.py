@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
+import logging
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
 from typing import Self
 
-import cv2
-import numpy as np
-
 from vo.base.errors import InputError
-from vo.base.geometry.cameras import distort
-from vo.base.geometry.transforms import make_transform
 from vo.base.scheduling import available_cores
-from vo.base.types import Bytes, Camera, Floats, Floats32
-from vo.tools.objects.adding import Extractors, make_object
+from vo.base.types import Bytes, Camera, Floats32
+from vo.tools.objects.adding import Extractors, check_name, make_object
 from vo.tools.objects.candidates import CandidateIndex, IndexedFeatures
 from vo.tools.objects.confidence import THRESHOLD, flat_confidence
 from vo.tools.objects.database_file import FileContents, read_objects, write_objects
 from vo.tools.objects.flat_verification import FlatInstance, flat_instances
-from vo.tools.objects.part_matching import PartMatches, PartVectors, match_part, part_vectors
+from vo.tools.objects.found_objects import found_solid, with_pose
+from vo.tools.objects.part_matching import PartVectors, match_part, part_vectors
 from vo.tools.objects.scene_features import (
     SceneFeatures,
     codes,
     extract,
     scene_extractor,
     stored_extractor,
+    unit_vectors,
 )
-from vo.tools.objects.stored_objects import FoundObject, Part, StoredObject
+from vo.tools.objects.solid_learning import learn_solid
+from vo.tools.objects.solid_search import SolidVectors, solid_instances, solid_vectors
+from vo.tools.objects.stored_objects import FoundObject, StoredObject
 from vo.tools.objects.tracks import without_overlaps
+from vo.tools.pairs.stitching import undistorted
+
+_log = logging.getLogger(__name__)
 
 DETECTOR = "sift"
 _MANY = 100  # parts; the index then ranks what is there before nearly all that is not
@@ -64,6 +66,8 @@ class ObjectDatabase:
         self._centre: Floats32 | None = None
         self._index: CandidateIndex | None = None
         self._prepared: OrderedDict[tuple[str, int], PartVectors] = OrderedDict()
+        self._solids: dict[str, SolidVectors] = {}
+        self._has_warned = False
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -118,10 +122,7 @@ class ObjectDatabase:
             InputError: the name is taken or unusable, an image is too small, has too little
                 texture, or only texture that repeats; or the width is no length.
         """
-        if name in self._objects:
-            raise InputError(
-                f"there is an object '{name}' already; remove it, or choose another name"
-            )
+        self._check_new(name)
         names = image_names or [f"image {n}" for n in range(len(images))]
         made, self._centre = make_object(
             name, list(zip(names, images, strict=True)), width_m, self._extractors, self._centre
@@ -129,6 +130,39 @@ class ObjectDatabase:
         self._objects[name] = made
         self._index = None
         return made
+
+    def learn(
+        self,
+        name: str,
+        run: Path,
+        *,
+        radius: float | None = None,
+        step: Callable[[str], None] = lambda _: None,
+    ) -> StoredObject:
+        """Add the solid object in the middle of the views of a run around it.
+
+        `run`: its folder; the recording must be where it was. `radius`: of the sphere that contains
+        the object, by default as the images are filled. `step`: called for each view.
+
+        Raises:
+            InputError: the name is taken or unusable, or the views do not show an object from
+                several sides, with texture.
+            SourceError: the run or its recording is missing or damaged.
+        """
+        self._check_new(name)
+        check_name(name)
+        learned = learn_solid(run, self._extractors.scene, radius, step)
+        made = StoredObject(name, (), learned.views, learned.solid)
+        if self._centre is None:
+            self._centre = unit_vectors(learned.solid.descriptor).mean(axis=0)
+        self._objects[name] = made
+        return made
+
+    def _check_new(self, name: str) -> None:
+        if name in self._objects:
+            raise InputError(
+                f"there is an object '{name}' already; remove it, or choose another name"
+            )
 
     def remove(self, name: str) -> None:
         """Remove an object.
@@ -142,34 +176,55 @@ class ObjectDatabase:
         del self._objects[name]
         self._index = None
         self._prepared.clear()
+        self._solids.clear()
 
     def find(
         self, image: Bytes, camera: Camera | None = None, threshold: float = THRESHOLD
     ) -> list[FoundObject]:
         """Instances of the objects in an image, the most confident first.
 
-        `image`: (H, W) uint8. `camera`: its calibration, for poses; pixels of the results are those
-        of the image.
+        `image`: (H, W) uint8. `camera`: its calibration, for poses, and for solids at all; pixels
+        of the results are those of the image.
 
         Raises:
-            InputError: the database is empty.
+            InputError: the database is empty, or solids only are searched without a camera.
         """
         if not self._objects:
             raise InputError("the database has no objects; add some first")
-        if camera is not None:
-            image = without_distortion(image, camera)
-        scene = extract(self._extractors.scene, image)
-        found = self._all(image, scene)
-        kept = [pair for pair in found if pair[0].confidence >= threshold]
-        kept = [kept[n] for n in without_overlaps([each for each, _ in kept])]
         if camera is None:
-            return [each for each, _ in kept]
-        return [
-            with_pose(
-                each, self._objects[each.name].parts[each.part], scene, instance.matches, camera
-            )
-            for each, instance in kept
-        ]
+            self._check_calibrated()
+        else:
+            image = undistorted(image, camera)
+        scene = extract(self._extractors.scene, image)
+        kept = [pair for pair in self._all(image, scene) if pair[0].confidence >= threshold]
+        found = [each for each, _ in kept]
+        if camera is not None:
+            found = [
+                with_pose(each, self._objects[each.name].parts[each.part], scene, flat, camera)
+                for each, flat in kept
+            ]
+            solids = self._solid_objects(scene, camera)
+            found += [each for each in solids if each.confidence >= threshold]
+        return [found[n] for n in without_overlaps(found)]
+
+    def _check_calibrated(self) -> None:
+        """Refuse to search for nothing but solids, or warn once that they are left out."""
+        solids = [each.name for each in self.objects if each.solid is not None]
+        text = f"'{solids[0]}' is a solid, found by a calibrated camera only" if solids else ""
+        if solids and len(solids) == len(self._objects):
+            raise InputError(f"{text}; give `calibration`")
+        if solids and not self._has_warned:
+            self._has_warned = True
+            _log.warning("%s; without `calibration` solids are not searched", text)
+
+    def _solid_objects(self, scene: SceneFeatures, camera: Camera) -> Iterator[FoundObject]:
+        for each in self.objects:
+            if each.solid is None:
+                continue
+            if each.name not in self._solids:
+                self._solids[each.name] = solid_vectors(each.solid)
+            for instance in solid_instances(scene, self._solids[each.name], camera):
+                yield found_solid(each.name, instance, each.solid.is_metric, camera)
 
     def evidence(self, image: Bytes) -> list[tuple[FoundObject, FlatInstance]]:
         """All instances that geometry allows, with what their confidence is computed from."""
@@ -237,58 +292,3 @@ class ObjectDatabase:
             self._prepared[key] = part_vectors(self._objects[key[0]].parts[key[1]])
         self._prepared.move_to_end(key)
         return self._prepared[key]
-
-
-def without_distortion(image: Bytes, camera: Camera) -> Bytes:
-    """An (H, W) uint8 image as a pinhole camera with the same matrix would see it."""
-    if not camera.is_distorted:
-        return image
-    height, width = image.shape
-    v, u = np.mgrid[0:height, 0:width].astype(np.float64)
-    rays = np.column_stack(
-        [(u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy]
-    )
-    pixels = np.nan_to_num(distort(camera, rays), nan=-1.0).reshape(height, width, 2)
-    return np.asarray(cv2.remap(image, pixels.astype(np.float32), None, cv2.INTER_LINEAR), np.uint8)
-
-
-def with_pose(
-    found: FoundObject, part: Part, scene: SceneFeatures, matches: PartMatches, camera: Camera
-) -> FoundObject:
-    """The instance with its pose, if the size of the part is known, and its outline as recorded.
-
-    `found`: instance in an image without distortion.
-    """
-    pose = None
-    if np.isfinite(part.unit_m):
-        flat = np.zeros(len(matches.part))
-        centre = (np.array(part.image_size) - 1.0) / 2.0
-        points = part.unit_m * np.column_stack([part.xy[matches.part] - centre, flat])
-        pose = _flat_pose(points, scene.xy[matches.scene].astype(np.float64), camera.matrix)
-    outline = found.outline
-    if camera.is_distorted:
-        rays = (outline - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-        bent = distort(camera, rays)
-        outline = np.where(np.isfinite(bent), bent, outline)
-    return replace(found, outline=outline, cam_from_object=pose)
-
-
-def _flat_pose(points: Floats, pixels: Floats, matrix: Floats) -> Floats | None:
-    """cam_from_object (4, 4) of points (N, 3) with z = 0: the better of both poses, refined.
-
-    Source: Collins and Bartoli, "Infinitesimal plane-based pose estimation", IJCV 2014.
-    """
-    middle = points.mean(axis=0)
-    centred = np.ascontiguousarray(points - middle)
-    try:
-        count, turns, moves, _ = cv2.solvePnPGeneric(
-            centred, pixels, np.ascontiguousarray(matrix), None, flags=cv2.SOLVEPNP_IPPE
-        )
-        if not count:
-            return None
-        turn, move = cv2.solvePnPRefineLM(centred, pixels, matrix, None, turns[0], moves[0])
-    except cv2.error:  # degenerate points
-        return None
-    rotation = np.asarray(cv2.Rodrigues(turn)[0], dtype=np.float64)
-    pose = make_transform(rotation, move.ravel() - rotation @ middle)
-    return pose if np.isfinite(pose).all() and move[2] > 0 else None

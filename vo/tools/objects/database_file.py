@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,10 +21,10 @@ from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_bytes
 from vo.base.files.complete_file import complete_file
 from vo.base.types import Floats32
-from vo.tools.objects.stored_objects import Part, StoredObject
+from vo.tools.objects.stored_objects import Part, Solid, StoredObject
 
 _MAGIC = b"vo-objs\n"
-_VERSION = 1
+_VERSION, _WITHOUT_SOLIDS = 2, 1  # databases without solids are of the older one
 _HEAD = struct.Struct("<8sII")
 _DIGEST_BYTES = 32
 _ALIGNMENT = 8
@@ -36,6 +37,13 @@ _ARRAYS = {  # name: types, shape with None for any length
     "size": (("<f4",), (None,)),
     "outline": (("<f4",), (4, 2)),
     "thumbnail": (("|u1",), (None, None)),
+}
+_SOLID_ARRAYS = {
+    "xyz": (("<f4",), (None, 3)),
+    "ray": (("<f4",), (None, 3)),
+    "sigma": (("<f4",), (None,)),
+    "descriptor": _ARRAYS["descriptor"],
+    "box": (("<f4",), (2, 3)),
 }
 _ROWS = ("xy", "descriptor", "code", "angle", "size")  # of equal length
 
@@ -85,6 +93,7 @@ def write_objects(path: Path, contents: FileContents) -> None:
                     }
                     for part in each.parts
                 ],
+                **({} if each.solid is None else {"solid": _solid_record(each.solid, add)}),
             }
             for each in contents.objects
         ],
@@ -92,9 +101,10 @@ def write_objects(path: Path, contents: FileContents) -> None:
     text = json.dumps(index, separators=(",", ":")).encode()
     text += b" " * (-len(text) % _ALIGNMENT)
     digest = hashlib.sha256()
+    version = _VERSION if any(each.solid for each in contents.objects) else _WITHOUT_SOLIDS
     try:
         with complete_file(path) as file:
-            for piece in (_HEAD.pack(_MAGIC, _VERSION, len(text)), text, *data):
+            for piece in (_HEAD.pack(_MAGIC, version, len(text)), text, *data):
                 digest.update(piece)
                 file.write(piece)
             file.write(digest.digest())
@@ -139,7 +149,9 @@ def _contents(index: dict[str, Any], arrays: memoryview) -> FileContents:
     if len({each.name for each in objects}) != len(objects):
         raise ValueError("two objects of one name")
     middle = None if centre is None else _array(centre, arrays, ("<f4",), (None,))
-    widths = {(p.descriptor.shape[1], p.descriptor.dtype.kind) for o in objects for p in o.parts}
+    stored = [part.descriptor for each in objects for part in each.parts]
+    stored += [each.solid.descriptor for each in objects if each.solid is not None]
+    widths = {(descriptor.shape[1], descriptor.dtype.kind) for descriptor in stored}
     if len(widths) > 1 or (objects and middle is None):
         raise ValueError("descriptors of several kinds")
     return FileContents(str(index["detector"]), str(index["descriptor"]), middle, objects)
@@ -147,9 +159,26 @@ def _contents(index: dict[str, Any], arrays: memoryview) -> FileContents:
 
 def _object(record: dict[str, Any], arrays: memoryview) -> StoredObject:
     parts = tuple(_part(each, arrays) for each in record["parts"])
-    if not parts:
-        raise ValueError("an object without parts")
-    return StoredObject(str(record["name"]), parts, int(record["images"]))
+    solid = None if "solid" not in record else _solid(record["solid"], arrays)
+    if bool(parts) is bool(solid):
+        raise ValueError("an object without parts, or with both kinds")
+    return StoredObject(str(record["name"]), parts, int(record["images"]), solid)
+
+
+def _solid_record(solid: Solid, add: Callable[[NDArray[Any]], list[Any]]) -> dict[str, Any]:
+    arrays = {name: add(getattr(solid, name)) for name in _SOLID_ARRAYS}
+    return {"is_metric": solid.is_metric, **arrays}
+
+
+def _solid(record: dict[str, Any], arrays: memoryview) -> Solid:
+    read = {name: _array(record[name], arrays, *form) for name, form in _SOLID_ARRAYS.items()}
+    if len({len(read[name]) for name in ("xyz", "ray", "sigma", "descriptor")}) != 1:
+        raise ValueError("arrays of different lengths")
+    if not all(np.isfinite(read[name]).all() for name in ("xyz", "ray", "sigma", "box")):
+        raise ValueError("values out of range")
+    if not (read["box"][0] < read["box"][1]).all() or not (read["sigma"] > 0).all():
+        raise ValueError("values out of range")
+    return Solid(is_metric=record["is_metric"] is True, **read)
 
 
 def _part(record: dict[str, Any], arrays: memoryview) -> Part:

@@ -123,18 +123,18 @@ def _predicted(
     at = transferred(homography, vectors.xy.astype(np.float64))
     outline = transferred(homography, part.outline.astype(np.float64))
     reach = max(_REACH_PX, _REACH * float(np.sqrt(max(_area(outline), 1.0))))
-    row, column = _near(scene.xy, at, reach)
+    row, column = near(scene.xy, at, reach)
     product = (scene.vector[row] * vectors.vector[column]).sum(axis=1)
     distance = 2.0 - 2.0 * product
     limit = _GUIDED_BINARY if part.descriptor.dtype == np.uint8 else _GUIDED
     good = np.flatnonzero(distance <= limit)
     good = good[np.argsort(distance[good], kind="stable")]
     row, column, distance = row[good], column[good], distance[good]
-    kept = _first_of_each_place(scene.xy[row], vectors.xy[column])
+    kept = first_of_each_place(scene.xy[row], vectors.xy[column])
     return PartMatches(row[kept], column[kept], distance[kept])
 
 
-def _near(scene_xy: Floats32, at: Floats, reach: float) -> tuple[Ints, Ints]:
+def near(scene_xy: Floats32, at: Floats, reach: float) -> tuple[Ints, Ints]:
     """Rows of the scene's features (N, 2) and of places (M, 2) that are within a square."""
     order = np.argsort(scene_xy[:, 0], kind="stable")
     u = scene_xy[order, 0]
@@ -148,7 +148,7 @@ def _near(scene_xy: Floats32, at: Floats, reach: float) -> tuple[Ints, Ints]:
 
 
 @compiled
-def _first_of_each_place(scene_xy, part_xy):  # type: ignore[no-untyped-def]
+def first_of_each_place(scene_xy, part_xy):  # type: ignore[no-untyped-def]
     """Rows, in order, whose place is taken by no row before: in the scene and in the part."""
     rows = np.empty(len(scene_xy), dtype=np.int64)
     count = 0

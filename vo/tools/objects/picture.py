@@ -40,9 +40,13 @@ def draw_objects(image: Bytes, found: Sequence[FoundObject], tracks: Sequence[in
     for each, track in zip(found, tracks, strict=True):
         colour = _COLOURS[track % len(_COLOURS)]
         corners = _drawable(each.outline, image.shape)
-        cv2.polylines(canvas, [corners], True, colour, thickness, cv2.LINE_AA)
-        # The upper side of the stored image is thicker, so that the orientation can be seen.
-        cv2.line(canvas, corners[0], corners[1], colour, 3 * thickness, cv2.LINE_AA)
+        if each.edges is None:
+            cv2.polylines(canvas, [corners], True, colour, thickness, cv2.LINE_AA)
+            # The upper side of the stored image is thicker, so that the orientation can be seen.
+            cv2.line(canvas, corners[0], corners[1], colour, 3 * thickness, cv2.LINE_AA)
+        else:
+            edges = [_drawable(edge, image.shape) for edge in each.edges]
+            cv2.polylines(canvas, edges, False, colour, thickness, cv2.LINE_AA)
         _label(canvas, f"{each.name} {each.confidence:.2f}", corners, colour, thickness)
     return np.asarray(canvas, dtype=np.uint8)
 

@@ -40,17 +40,40 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
+class Solid:
+    """A solid object, as points with the features of the views that show them.
+
+    Attributes:
+        xyz: (N, 3) place of each feature in the object's frame; points with several features occur
+            several times.
+        ray: (N, 3) unit vectors from there to the camera that saw the feature.
+        sigma: (N,) standard deviation of the place along it.
+        descriptor: (N, width), as of a part.
+        box: (2, 3) lower and upper corner of what the points fill.
+        is_metric: whether lengths are metres; else poses are not given.
+    """
+
+    xyz: Floats32
+    ray: Floats32
+    sigma: Floats32
+    descriptor: Descriptors
+    box: Floats32
+    is_metric: bool
+
+
+@dataclass(frozen=True, eq=False)
 class StoredObject:
-    """An object of a database."""
+    """An object of a database: flat sides, or a solid without any."""
 
     name: str
     parts: tuple[Part, ...]
     images: int
+    solid: Solid | None = None
 
     @property
     def features(self) -> int:
         """Number of features of all parts."""
-        return sum(len(part.xy) for part in self.parts)
+        return sum(len(part.xy) for part in self.parts) + (len(self.solid.xyz) if self.solid else 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +84,16 @@ class FoundObject:
         part: number of the side of it that is seen.
         confidence: probability that the object is there, 0 to 1.
         inliers: features that agree.
-        outline: (4, 2) pixels of the corners of the stored image, perhaps beyond the image.
+        outline: (4, 2) pixels of the corners of the stored image, perhaps beyond the image; of a
+            solid, of the rectangle about its box.
         homography: (3, 3) pixels of the stored image to those of this one, without the distortion
-            of the lens.
+            of the lens; None of a solid.
         cam_from_object: (4, 4) pose in metres; the object's frame is at the centre of the stored
             image, x to its right, y down, z away from who looks at it. None without a calibration,
             and of a side of unknown width.
+        covariance: (6, 6) of the pose in the frame of the camera: tangent (rx ry rz tx ty tz) of
+            exp(xi) @ cam_from_object, in rad and m; None without a pose.
+        edges: (12, 2, 2) pixels of the ends of the edges of a solid's box, else None.
     """
 
     name: str
@@ -74,5 +101,7 @@ class FoundObject:
     confidence: float
     inliers: int
     outline: Floats
-    homography: Floats
+    homography: Floats | None
     cam_from_object: Floats | None
+    covariance: Floats | None = None
+    edges: Floats | None = None

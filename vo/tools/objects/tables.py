@@ -7,6 +7,8 @@ import io
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
 from vo.base.printable import spreadsheet_row
 from vo.tools.objects.stored_objects import FoundObject, StoredObject
@@ -30,13 +32,16 @@ class FrameObjects(NamedTuple):
 
 def object_record(each: StoredObject) -> dict[str, Any]:
     """A stored object."""
-    width = each.parts[0].unit_m * each.parts[0].image_size[0]
+    width = each.parts[0].unit_m * each.parts[0].image_size[0] if each.parts else float("nan")
+    size = None if each.solid is None else np.ptp(each.solid.box, axis=0).round(4).tolist()
     return {
         "name": each.name,
         "images": each.images,
         "sides": len(each.parts),
         "features": each.features,
         "width_m": width if width == width else None,
+        "size": size,
+        "is_metric": None if each.solid is None else each.solid.is_metric,
     }
 
 
@@ -88,6 +93,7 @@ def _found(each: FoundObject) -> dict[str, Any]:
         "confidence": round(each.confidence, 4),
         "inliers": each.inliers,
         "outline": each.outline.round(2).tolist(),
-        "image_from_stored": each.homography.tolist(),
+        "image_from_stored": None if each.homography is None else each.homography.tolist(),
         "cam_from_object": None if pose is None else pose.tolist(),
+        "covariance": None if each.covariance is None else each.covariance.tolist(),
     }
