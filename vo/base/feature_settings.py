@@ -68,8 +68,10 @@ class FeaturesConfig(Section):
     descriptor: DescriptorName = Field(
         "auto", description="what describes them; auto for the one that suits the detector"
     )
-    rescue: Literal["none", "xfeat"] = Field(
-        "none", description="learned features where orb fails, and only there (docs/learned.md)"
+    rescue: Literal["auto", "none", "xfeat"] = Field(
+        "auto",
+        description="learned features where orb fails, and only there; auto: xfeat where its file "
+        "is there, in recordings without an inertial sensor",
     )
     selection: Literal["grid", "ssc", "strongest"] = expert(
         "grid", description="which are kept where a detector other than orb finds more than count"
@@ -95,6 +97,11 @@ class FeaturesConfig(Section):
     def is_orb(self) -> bool:
         """Whether features are the built-in ORB, which loops and maps know the words of."""
         return self.detector == "orb" and self.descriptor in ("auto", "rbrief")
+
+    @property
+    def is_rescued(self) -> bool:
+        """Whether learned features help; `auto` is decided by a run, elsewhere it is none."""
+        return self.rescue not in ("auto", "none")
 
 
 MatchingName = Literal[

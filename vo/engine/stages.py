@@ -271,7 +271,7 @@ def _initializers(
 def _second_extractor(config: Config, components: Components) -> PointDescriber | None:
     """What `features.rescue` names, beside ORB."""
     features = config.features
-    if features.rescue == "none":
+    if not features.is_rescued:
         return None
     is_exchanged = components.extractor is not None or components.matcher is not None
     if features.detector != "orb" or is_exchanged:

@@ -12,7 +12,14 @@ from typing import Any
 import numpy as np
 
 from vo.base.config import Config, MemoryConfig, dump_config
-from vo.base.errors import CalibrationError, ConfigError, NoCalibration, SourceError, VoError
+from vo.base.errors import (
+    CalibrationError,
+    ConfigError,
+    ModelError,
+    NoCalibration,
+    SourceError,
+    VoError,
+)
 from vo.base.extras import require
 from vo.base.images.image_areas import split_cameras
 from vo.base.records.estimated_camera import EstimatedCamera
@@ -109,7 +116,10 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     stream, config, options = opened.stream, opened.config, opened.options
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(options.start, options.end, options.stride * every)
-    decided, process = _with_loops(config, options, is_live), options.optimizer_process
+    decided = _with_loops(config, options, is_live)
+    if not is_live and components.inertial_sensor is None:
+        decided = _with_rescue(decided, components)
+    process = options.optimizer_process
     with closing(Odometry(stream.rig, decided, components, process)) as odometry:
         if options.save_map is not None:
             odometry.map_alignment.check_savable(options.save_map)
@@ -150,6 +160,25 @@ def check_maps(memory: MemoryConfig, *, saves: bool) -> None:
         raise ConfigError("`memory.localize` finds poses in a map; give it by `memory.map=FILE`")
     if memory.localize and saves:
         raise ConfigError("`memory.localize` adds nothing to the map; leave out `save_map`")
+
+
+def _with_rescue(config: Config, components: Components) -> Config:
+    """The settings with `features.rescue` decided, if it is `auto`, by what is installed."""
+    features, method = config.features, config.matching.method
+    is_exchanged = components.extractor is not None or components.matcher is not None
+    is_usual = features.is_orb and method == "auto" and config.tracking.method == "patches"
+    if features.rescue != "auto" or is_exchanged or not is_usual:
+        return config
+    from vo.engine.learned.catalog import find_model
+    from vo.engine.learned.files import verify
+
+    try:
+        verify(find_model("xfeat"))
+    except (ModelError, OSError, RuntimeError) as error:  # RuntimeError: there is no home
+        _log.info("no learned features where ORB fails: %s", error)
+        return config
+    rescued = features.model_copy(update={"rescue": "xfeat"})
+    return config.model_copy(update={"features": rescued})
 
 
 def _check_outputs(

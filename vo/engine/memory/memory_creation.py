@@ -64,7 +64,7 @@ def make_memory(
         session = len(loaded.header.sessions)
     localizes = config.memory.localize
     adjusts = config.memory.adjust and not rig.is_metric and inertial is None
-    describer = None if config.features.rescue == "none" else OrbExtractor(config.features)
+    describer = OrbExtractor(config.features) if config.features.is_rescued else None
     maker = PlaceMaker(session, scale_factor, is_metric=rig.is_metric, describer=describer)
     judges = partial(make_judges, vocabulary, config)
     recogniser = Recogniser(database, judges, camera, threads, loaded, localizes=localizes)

@@ -33,6 +33,7 @@ _AVERTABLE = (
     FailureReason.FEW_LANDMARKS,
     FailureReason.FEW_INLIERS,
 )
+_MIN_CONTRAST = 4.0  # grey levels; no network finds anything in a black image
 # Matches of two keyframes from which features of the first kind are used again, in units of those
 # that a first map needs.
 _ENOUGH = 2
@@ -92,7 +93,7 @@ class Rescue:
         Returns:
             The frame with features of the map's kind, and its pose or the failure before.
         """
-        if not self.may_avert(failure):
+        if not self.may_avert(failure) or frame.pyramid[-1].std() < _MIN_CONTRAST:
             return frame, failure
         last = self._tracker.last
         counts = self._map.visible.copy(), self._map.found.copy()
