@@ -60,7 +60,7 @@ class Odometry:
         warm_up(Odometry)
         cv2.setRNGSeed(config.seed)
         self.stopwatch = Stopwatch()
-        with networks_used() as networks:
+        with networks_used(config.features.device) as networks:
             stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
         self.networks = tuple(network._asdict() for network in networks)
         self._preprocessor = stages.preprocessor

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib
 import logging
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,12 @@ import numpy as np
 import pytest
 from learned_cases import BACKENDS, require_backend
 
+from vo.base.config import load_config
 from vo.base.errors import ConfigError, ModelError
+from vo.base.types import Camera, Rig
 from vo.engine.learned import inference
 from vo.engine.learned.inference import load, networks_used
+from vo.engine.odometry import Odometry
 
 pytest.importorskip("onnx")
 
@@ -52,6 +56,15 @@ def test_a_device_that_is_not_there_is_one_line(doubling: Path, device: Any) -> 
     with pytest.raises(ConfigError, match=f"features.device is {device}") as caught:
         load(doubling, "auto", device)
     assert "cpu" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_device_without_a_network_has_no_effect_and_says_so(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    rig = Rig(Camera(320, 240, 200.0, 200.0, 160.0, 120.0))
+    config = load_config(overrides=["features.device=cuda", "threads=1"])
+    with closing(Odometry(rig, config)):
+        assert "features.device=cuda has no effect" in caplog.text
 
 
 def test_auto_takes_what_works_and_reports_it(

@@ -181,14 +181,16 @@ def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Infe
 
 
 @contextmanager
-def networks_used() -> Iterator[list[Network]]:
-    """The networks that are loaded in this context, by whatever needs them."""
+def networks_used(device: Device = "auto") -> Iterator[list[Network]]:
+    """The networks that are loaded in this context; a device that none of them uses is said."""
     networks: list[Network] = []
     token = _used.set(networks)
     try:
         yield networks
     finally:
         _used.reset(token)
+    if device not in ("auto", "cpu") and not networks:
+        _log.warning("features.device=%s has no effect on features without a network", device)
 
 
 def _reason(error: Exception) -> str:
