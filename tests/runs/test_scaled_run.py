@@ -166,7 +166,8 @@ def test_positions_give_the_scale_and_the_place(synthetic_stereo: Path, tmp_path
     table = geodetic_csv(truth, tmp_path / "gps.csv")
     scale = ScaleOptions(str(table), georeference=True)
     run(synthetic_stereo, tmp_path / "mono", config=FAST, mode="mono", scale=scale)
-    run(synthetic_stereo, tmp_path / "stereo", config=FAST, scale=scale)
+    moving = ScaleOptions(gps=str(table), georeference=True)
+    run(synthetic_stereo, tmp_path / "stereo", config=FAST, scale=moving)
     for name in ("mono", "stereo"):
         result = evaluate(read_tum(tmp_path / name / "trajectory.tum"), read_tum(truth))
         assert abs(result.alignment.scale_error_percent or 0.0) < 3.0
@@ -178,6 +179,14 @@ def test_positions_give_the_scale_and_the_place(synthetic_stereo: Path, tmp_path
         expected = (read_tum(truth).positions[:, [0, 2, 1]] * (1, 1, -1))[rows]
         assert np.linalg.norm(enu - expected, axis=1).max() < 0.03
         assert (tmp_path / name / "path.kml").is_file()
+        placed = read_tum(tmp_path / name / "path_enu.tum")
+        longitude, latitude, height = geojson["enu_origin"]
+        back = geodetic_from_enu(placed.positions, np.array([latitude, longitude, height]))
+        np.testing.assert_allclose(back[:, [1, 0]], points[:, :2], atol=2e-9)
+        np.testing.assert_allclose(back[:, 2], points[:, 2], atol=2e-3)
+        true = read_tum(truth).world_from_cam[rows][:, :3, :3]
+        to_enu = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+        assert np.abs(placed.world_from_cam[:, :3, :3] - to_enu @ true).max() < 0.05
     assert summary(tmp_path / "mono")["scales"][0]["source"] == "gps"
     assert summary(tmp_path / "stereo")["scales"] == []
     run(synthetic_stereo, tmp_path / "mono", config=FAST, mode="mono", end=8)

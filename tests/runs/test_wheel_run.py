@@ -58,7 +58,7 @@ def true_path(source: Path) -> Trajectory:
 
 
 def test_wheels_give_one_camera_its_metres(shared_data: Path, tmp_path: Path) -> None:
-    """104 m; errors of 1 % in each sample, a slip of 2 s, a clock that is late by 0.1 s."""
+    """54 m; errors of 1 % in each sample, a slip of 2 s, a clock that is late by 0.1 s."""
     source = shared_data / KITTI
     truth = true_path(source)
     wheels = Wheels(late_s=0.1, slip_s=(4.0, 6.0))

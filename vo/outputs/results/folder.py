@@ -30,11 +30,11 @@ SUMMARY = "summary.json"
 CONFIG = "config.yaml"
 
 _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
-GEOJSON, KML = "path.geojson", "path.kml"  # only with --georeference
+GLOBE = "path.geojson", "path.kml", "path_enu.tum"  # only with --georeference
 MARKERS = "markers.csv"  # only with --markers
 CAMERA = "estimated_calibration.yaml"  # only without a calibration
 
-RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, GEOJSON, KML, MARKERS, CAMERA)
+RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, *GLOBE, MARKERS, CAMERA)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 

@@ -1,26 +1,29 @@
-"""The path on the globe: GeoJSON and KML, in WGS 84."""
+"""The path on the globe: GeoJSON and KML in WGS 84, and poses east, north and up of an origin."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 
 from vo.base.errors import OutputError
 from vo.base.geometry.geodesy import geodetic_from_enu
+from vo.base.geometry.transforms import make_transform
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Floats
+from vo.base.types import Floats, Trajectory
+from vo.recordings.formats.trajectory import write_tum
 from vo.runs.scaling.position_source import PositionSource
 
-GEOJSON, KML = "path.geojson", "path.kml"
+GEOJSON, KML, ENU = "path.geojson", "path.kml", "path_enu.tum"
 _DEGREE_DIGITS = 9  # a tenth of a millimetre
 _HEIGHT_DIGITS = 3
 
 
 def write_georeference(folder: Path, path: PosedFrames, source: PositionSource) -> list[str]:
-    """Write `path.geojson` and `path.kml`, one line for each world that could be placed.
+    """Write `path.geojson`, `path.kml` and `path_enu.tum` of the worlds that could be placed.
 
     Args:
         folder: of the results.
@@ -34,13 +37,18 @@ def write_georeference(folder: Path, path: PosedFrames, source: PositionSource) 
         OutputError: a file cannot be written.
     """
     lines: list[tuple[int, Floats]] = []
+    origin = source.positions.origin
+    poses, is_placed = path.trajectory.world_from_cam.copy(), np.zeros(len(path.world), bool)
     for alignment in source.alignments:
         rows = path.world == alignment.segment
-        enu = alignment.transform(path.trajectory.positions[rows])
-        assert alignment.positions.origin is not None
-        lines.append((alignment.segment, geodetic_from_enu(enu, alignment.positions.origin)))
-    _write(folder / GEOJSON, _geojson(path, lines))
+        origin = alignment.positions.origin  # another where columns were exchanged
+        assert origin is not None
+        poses[rows] = make_transform(alignment.rotation, alignment.translation) @ poses[rows]
+        is_placed |= rows
+        lines.append((alignment.segment, geodetic_from_enu(poses[rows, :3, 3], origin)))
+    _write(folder / GEOJSON, _geojson(path, lines, origin))
     _write(folder / KML, _kml(lines))
+    write_tum(folder / ENU, Trajectory(path.trajectory.stamps_ns[is_placed], poses[is_placed]))
     missing = sorted(set(path.world.tolist()) - {segment for segment, _ in lines})
     if not missing:
         return []
@@ -48,8 +56,11 @@ def write_georeference(folder: Path, path: PosedFrames, source: PositionSource) 
     return [f"not placed on the globe, and left out of {GEOJSON} and {KML}: segments {numbers}"]
 
 
-def _geojson(path: PosedFrames, lines: list[tuple[int, Floats]]) -> str:
-    """One feature a world (RFC 7946: longitude, latitude, height), with stamps of its points."""
+def _geojson(path: PosedFrames, lines: list[tuple[int, Floats]], origin: Floats | None) -> str:
+    """One feature a world (RFC 7946: longitude, latitude, height), with stamps of its points.
+
+    `origin`: of the frame of `path_enu.tum`, a foreign member.
+    """
     features = [
         {
             "type": "Feature",
@@ -62,7 +73,10 @@ def _geojson(path: PosedFrames, lines: list[tuple[int, Floats]]) -> str:
         for segment, geodetic in lines
         if len(geodetic) > 1
     ]
-    return json.dumps({"type": "FeatureCollection", "features": features}) + "\n"
+    content: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if origin is not None:
+        content["enu_origin"] = _coordinates(origin[None])[0]
+    return json.dumps(content) + "\n"
 
 
 def _kml(lines: list[tuple[int, Floats]]) -> str:
