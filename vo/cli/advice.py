@@ -12,6 +12,7 @@ _CAUSES = {
     ImageDefect.BLACK: "exposure too short, lens cap on, lights off?",
     ImageDefect.WHITE: "exposure too long?",
     ImageDefect.ONE_GREY: "is the lens covered, or the camera out of focus?",
+    ImageDefect.CUT: "a damaged stream: check cable, network or file",
     ImageDefect.SMALL: "record larger ones, at least 320x240",
     ImageDefect.DARK: "more light, or longer exposure?",
     ImageDefect.LOW_CONTRAST: "fog, a dirty lens, or wrong exposure?",
