@@ -8,6 +8,7 @@ and call `require` before.
 from __future__ import annotations
 
 import importlib
+import logging
 from types import ModuleType
 
 from vo.base.errors import MissingExtraError
@@ -26,6 +27,8 @@ def require(package: str, extra: str, what: str) -> ModuleType:
     Raises:
         MissingExtraError: it is not installed, or cannot be imported.
     """
+    if package == "matplotlib":  # its lines about a home that is read-only are no news
+        logging.getLogger(package).setLevel(logging.ERROR)
     try:
         return importlib.import_module(package)
     except ImportError as error:

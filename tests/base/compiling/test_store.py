@@ -6,6 +6,7 @@ import logging
 import os
 import pickle
 import stat
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -158,3 +159,25 @@ def test_a_file_gives_back_what_was_saved(shared: Path, constants: list[Any]) ->
     assert store.load(path) == code
     path.rename(path.with_name("other-a-b.bin"))  # of another function
     assert store.load(path.with_name("other-a-b.bin")) is None
+
+
+@needs_root
+@pytest.mark.parametrize("is_full", [False, True])
+def test_a_user_whose_home_is_read_only_has_a_folder_for_temporary_files(
+    is_full: bool, shared: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, temporary = shared / "home", shared / "tmp"
+    home.mkdir(mode=0o755)
+    temporary.mkdir()
+    temporary.chmod(0o555 if is_full else 0o1777)
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    (shared.parent.parent).chmod(0o755)
+    shared.parent.chmod(0o755)
+    wanted = store._NOWHERE if is_full else temporary / f"vo-compiled-{_OTHER_USER}"
+    child = os.fork()
+    if child == 0:
+        os.setuid(_OTHER_USER)
+        store.folder.cache_clear()
+        os._exit(store.folder() != wanted)
+    assert os.waitpid(child, 0)[1] == 0

@@ -89,7 +89,17 @@ def save(path: Path, code: MachineCode) -> None:
             if other != path:
                 other.unlink(missing_ok=True)
     except OSError as error:
-        _log.info("machine code cannot be saved: %s", error)
+        _announce_loss(str(error) if path.parent != _NOWHERE else "no folder can be written to")
+
+
+@lru_cache(maxsize=1)
+def _announce_loss(reason: str) -> None:
+    """Log, once per process, that nothing is kept."""
+    _log.info(
+        "compiled code cannot be kept, so that every run compiles anew (%s); set NUMBA_CACHE_DIR "
+        "to a folder of yours",
+        reason,
+    )
 
 
 def _digest(path: Path, content: bytes) -> bytes:
@@ -149,7 +159,7 @@ def create_folder() -> None:
 def folder() -> Path:
     """The first that is ours: in NUMBA_CACHE_DIR, beside this module, in the user's cache folder.
 
-    If none is, a path at which nothing can be saved.
+    Then one for temporary files. If there is none, a path at which nothing can be saved.
     """
     given = os.environ.get("NUMBA_CACHE_DIR")
     if given:
@@ -165,9 +175,27 @@ def folder() -> Path:
         return _beside()
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     path = Path(cache) / "vo" / "compiled"
-    if os.path.isabs(cache) and _refusal(path) is None:
+    if os.path.isabs(cache) and _refusal(path) is None and (path.exists() or _can_make(path)):
         return path
-    return _NOWHERE
+    return _temporary() or _NOWHERE
+
+
+def _temporary() -> Path | None:
+    """A user's own folder beside other temporary files; None if there can be none."""
+    if not hasattr(os, "geteuid"):
+        return None
+    with suppress(OSError):
+        path = Path(tempfile.gettempdir()) / f"vo-compiled-{os.geteuid()}"
+        is_elsewhere = path.parent != Path.cwd()  # which Python takes where there is no other
+        if is_elsewhere and _refusal(path) is None and (path.exists() or _can_make(path)):
+            return path
+    return None
+
+
+def _can_make(path: Path) -> bool:
+    """Whether a missing folder can be made."""
+    existing = next(each for each in path.parents if each.exists())
+    return existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)
 
 
 def is_numba_cache_safe() -> bool:
