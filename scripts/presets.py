@@ -42,6 +42,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "smoothing.max_landmarks": 300,
         "smoothing.iterations": 5,
     },
+    "best": {"patches.half_px": 4, "refinement.rounds": 3},
     "accurate": {
         "features.count": 3000,
         "tracking.max_landmarks": 2000,
@@ -52,7 +53,6 @@ CHANGES: dict[str, dict[str, Any]] = {
         "smoothing.max_landmarks": 1600,
     },
 }
-CHANGES["best"] = CHANGES["accurate"] | {"patches.half_px": 4, "refinement.rounds": 3}
 BOUNDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
 
 
