@@ -131,7 +131,7 @@ def test_a_world_before_a_long_gap_is_tested_too() -> None:
 
 
 def test_small_faults_make_stated_errors_larger() -> None:
-    right, chain = _chain(_good()), _chain(changed(_good(), scaled(1.0, 1.008)))
+    right, chain = _chain(_good()), _chain(changed(_good(), scaled(1.0, 1.006)))
     assert chain.agreement.contradiction is None
     assert chain.agreement.excess > max(2.5, right.agreement.excess)
 

@@ -195,6 +195,8 @@ def test_stated_covariances_are_those_of_the_errors(part: str) -> None:
     # The scale of the last keyframe is that of a step that follows.
     last = _KEYFRAMES - (2 if part == "log_scale" else 1)
     low, high = _band(_PARTS[part].stop - _PARTS[part].start)
+    if part == "log_scale":
+        low *= 0.75  # the largest of several drifts that fit is stated
     for row in (last // 2, last):
         assert low < _nees(part, row) < high
 

@@ -207,9 +207,7 @@ class InertialChain:
             return self.newest
         if solved is not None:
             states = solved.estimate.states
-            steps = self._steps(self._origin, self._origin + states.number)
-            steps = replace(steps, variance=solved.estimate.variance)
-            problem = ChainProblem(steps, self._first_prior(states), self._noise)
+            problem = ChainProblem(solved.estimate.steps, self._first_prior(states), self._noise)
             if self.agreement.contradiction is None:
                 self.agreement = agreement(problem, states)
         return solved

@@ -14,7 +14,7 @@ import numpy as np
 
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.geometry import so3
-from vo.engine.inertial.chain_solver import Equations, empty_equations, solve_chain
+from vo.engine.inertial.chain_solver import ChainSolution, Equations, empty_equations, solve_chain
 from vo.engine.inertial.factor_kernels import add_changes, add_factors
 from vo.engine.inertial.factors import Linearised, as_arrays, inertial_residuals, visual_residuals
 from vo.engine.inertial.scale_drift import without_scale
@@ -26,6 +26,7 @@ from vo.engine.inertial.states import (
     ROTATION,
     VELOCITY,
     WIDTH,
+    MapErrors,
     States,
     Steps,
 )
@@ -35,14 +36,17 @@ _GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2 = 0.1, 0.3
 _VELOCITY_M_S, _LOG_SCALE = 100.0, 10.0
 _FIXED_M, _FIXED_RAD = 1e-5, 1e-5
 _FIXED_LOG_SCALE = 1e-5
-# Errors of the visual odometry beside the windows' covariances: of each step, and of a length.
-_STEP_RATIO, _STEP_RAD, _STEP_LOG_SCALE = 0.001, 1e-4, 0.0015
+# Errors of one camera's steps beside the windows' covariances: in radians, and values of
+# `MapErrors` among which the evidence decides, in this order.
+_STEP_RAD = 5e-5
+_MAP_ERRORS = {
+    "ratio": (0.0005, 0.001, 0.002, 0.004, 0.008),
+    "drift": (0.0003, 0.0006, 0.0012, 0.0024),
+}
 QUICK_RAD_S = 1.75  # a single camera that turns faster sees landmarks too shortly for a scale
 _TURN_LOG_SCALE = 0.007  # from one keyframe to the next in such a turn
 _METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
-# Misfit where all covariances are right: 15 residuals of a step determine 9 unknowns. Those that
-# windows of one camera state are up to 8 times too large.
-_RIGHT_MISFIT, _LEAST_VARIANCE = 0.63, 0.125
+_DOUBT = 2.0  # evidence less than the largest that a value is not refuted by
 _HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
 _CONVERGED = 0.01  # largest step, in standard deviations
@@ -83,7 +87,8 @@ class Estimate:
     has_converged: bool  # whether the iterations ended by themselves
     reduced: Floats  # (n, WIDTH, WIDTH) information on each state by what was measured before it
     reduced_gradient: Floats  # (n, WIDTH) the same of the gradient, at the states
-    variance: float = 1.0  # of the steps that it was made with
+    steps: Steps  # that it was made with
+    evidence: float  # logarithm of the measurements' probability, but for a constant
 
     def prior_of(self, row: int) -> Prior:
         """What the states before one say about it, for a chain that begins there."""
@@ -151,7 +156,8 @@ def estimate_states(
     """
     problem = ChainProblem(steps, prior, noise, last)
     for _ in range(_MAX_ITERATIONS):
-        solution = solve_chain(problem.normal_equations(states))
+        equations = problem.normal_equations(states)
+        solution = solve_chain(equations)
         turn = float(np.abs(solution.step[:, ROTATION]).max())
         step = solution.step * min(1.0, _MAX_TURN_RAD / max(turn, 1e-12))
         states = states.moved(step)
@@ -168,23 +174,37 @@ def estimate_states(
         largest < last_step**2,
         solution.reduced,
         gradient,
-        steps.variance,
+        steps,
+        problem.evidence(equations, solution),
     )
 
 
 def weighed_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) -> Estimate:
-    """Most probable states where the covariances of one camera's motions follow the residuals.
+    """Most probable states, with the most probable errors of one camera's steps.
 
-    Source: Helmert's estimation of variance components, in steps of 2.
+    Steps and covariances are those of the largest drift of the scale that is not improbable.
+
+    Source: MacKay, "Bayesian interpolation", 1992 (evidence).
     """
-    estimate = estimate_states(states, steps, prior, noise)
-    while not steps.is_metric and estimate.variance > _LEAST_VARIANCE:
-        steps = replace(steps, variance=0.5 * estimate.variance)
-        found = estimate_states(estimate.states, steps, prior, noise)
-        if found.misfit > _RIGHT_MISFIT:
+    if steps.is_metric:
+        return estimate_states(states, steps, prior, noise)
+    least = MapErrors(*(values[0] for values in _MAP_ERRORS.values()))
+    best = estimate_states(states, replace(steps, errors=least), prior, noise)
+    for name, values in _MAP_ERRORS.items():
+        for value in values[1:]:
+            tried = replace(steps, errors=best.steps.errors._replace(**{name: value}))
+            found = estimate_states(best.states, tried, prior, noise)
+            if found.evidence <= best.evidence:
+                break
+            best = found
+    doubted = best
+    for value in (each for each in _MAP_ERRORS["drift"] if each > best.steps.errors.drift):
+        tried = replace(steps, errors=best.steps.errors._replace(drift=value))
+        found = estimate_states(best.states, tried, prior, noise)
+        if found.evidence < best.evidence - _DOUBT:
             break
-        estimate = found
-    return estimate
+        doubted = found
+    return replace(best, covariance=doubted.covariance, steps=doubted.steps)
 
 
 class ChainProblem:
@@ -200,7 +220,7 @@ class ChainProblem:
     def __init__(
         self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
     ) -> None:
-        self.misfit = 0.0
+        self.misfit = self._cost = 0.0
         self.steps, self._priors = steps, [(0, prior)]
         if last is not None:
             self._priors.append((len(steps.inertial), last))
@@ -215,24 +235,23 @@ class ChainProblem:
             self.inertial_information = np.array([m.information for m in measured])
         walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
         self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
-        covariance, drift = steps.covariance, np.zeros(len(steps.covariance))
-        if not steps.is_metric:
-            covariance, drift = without_scale(steps)
-            covariance = steps.variance * covariance
+        covariance = steps.covariance if steps.is_metric else without_scale(steps)
         covariance = _visual_covariance(steps, covariance)[self.visual_rows]
         self.visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
         turned_rad = np.linalg.norm(so3.log(steps.visual[:, :3, :3]), axis=1)
-        drift = steps.variance * (steps.variance * _STEP_LOG_SCALE**2 + drift)
+        drift = np.full(len(turned_rad), steps.errors.drift**2)
         drift[turned_rad > QUICK_RAD_S * steps.duration_s] += _TURN_LOG_SCALE**2
         self._sigma_scale = np.sqrt(drift)
 
     def normal_equations(self, states: States) -> Equations:
         """Normal equations of a step from these states."""
         equations = empty_equations(states.number, WIDTH)
+        self._cost = 0.0
         for row, prior in self._priors:
             off = states.rows(slice(row, row + 1)).since(prior.at)[0]
             equations.before[row] += prior.information
             equations.gradient_before[row] += prior.gradient + prior.information @ off
+            self._cost += float(off @ (2.0 * prior.gradient + prior.information @ off))
         total, count = 0.0, 0
         if len(self.inertial_rows):
             inertial, information = self.inertial(states), self.inertial_information
@@ -244,8 +263,19 @@ class ChainProblem:
             total += add_factors(self.visual_rows, *visual, information, _HUBER, equations)
             count += visual.residual.size
         self._add_scale(equations, states)
+        self._cost += total
         self.misfit = float(np.sqrt(total / count)) if count else 0.0
         return equations
+
+    def evidence(self, equations: Equations, solution: ChainSolution) -> float:
+        """Logarithm of the probability of the measurements, by the newest equations.
+
+        What does not depend on the errors of the motions by images is left out.
+        """
+        determined = np.linalg.slogdet(solution.reduced + equations.after)[1].sum()
+        assumed = np.linalg.slogdet(self.visual_information)[1].sum()
+        assumed -= 2.0 * np.log(self._sigma_scale[self.steps.is_visual]).sum()
+        return float(0.5 * (assumed - determined - self._cost))
 
     def inertial(self, states: States) -> Linearised:
         """Residuals of the inertial motions, of `inertial_rows`."""
@@ -269,6 +299,7 @@ class ChainProblem:
         change = np.diff(np.concatenate([states.gyro_bias, states.accel_bias], axis=1), axis=0)
         rows = np.arange(len(change))
         add_changes(rows, GYRO_BIAS.start, self._walk**-2.0, change, equations)
+        self._cost += float(((change / self._walk) ** 2).sum())
         if len(self._missing):
             change = np.diff(states.velocity, axis=0)[self._missing]
             weight = np.full_like(change, _VELOCITY_M_S**-2.0)
@@ -283,6 +314,7 @@ class ChainProblem:
             sigma[:] = _FIXED_LOG_SCALE
         weight = sigma[:, None] ** -2.0
         add_changes(np.arange(len(change)), LOG_SCALE, weight, change[:, None], equations)
+        self._cost += float(((change / sigma) ** 2).sum())
 
 
 def _ends(states: States, rows: Ints) -> tuple[States, States]:
@@ -297,7 +329,7 @@ def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:
     covariance = covariance.copy()
     length = np.linalg.norm(steps.visual[:, :3, 3], axis=1)
     shortest = 1e-6 * max(float(length.max(initial=0.0)), 1e-6)
-    ratio, angle = _STEP_RATIO, _STEP_RAD
+    ratio, angle = steps.errors.ratio, _STEP_RAD
     if steps.is_metric:
         ratio, angle = _METRIC_STEP_RATIO, _METRIC_STEP_RAD
     for axis in range(3):

@@ -1,13 +1,11 @@
-"""The drift of a map's scale, as the covariances of its motions state it.
+"""The common error of a map's scale in the covariances of its motions.
 
-In the map of one camera the motions of all keyframes have one error of the scale in common, which
-grows where the images hardly determine lengths. Each covariance contains the whole of it; taken for
-an error of its own of each motion it would hide how well their lengths agree.
+In the map of one camera the motions of all keyframes have one error of the scale in common. Each
+covariance contains the whole of it; taken for an error of its own of each motion it would hide how
+well their lengths agree.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,37 +15,30 @@ from vo.engine.inertial.chain_solver import invert_into
 from vo.engine.inertial.states import Steps
 
 _KEPT = 1e-3  # of the common error, so that covariances keep an inverse
+_NEAR = 4  # motions on either side whose median the common error is at most
 
 
-class ScaleDrift(NamedTuple):
-    """Errors of n motions, with that of the scale apart."""
-
-    covariance: Floats  # (n, 6, 6) of the motions at the scale of the map there, as in `Steps`
-    # (n,) variance by which the logarithm of the scale differs after each of them
-    log_scale: Floats
-
-
-def without_scale(steps: Steps) -> ScaleDrift:
-    """Take the common error of the scale out of the covariances of a map of one camera.
+def without_scale(steps: Steps) -> Floats:
+    """Covariances (n, 6, 6) of a map of one camera without the common error of the scale.
 
     The covariance C of a motion d is v d dᵀ + E, with the variance v of the logarithm of the scale
-    and its own errors E. v is at most c = 1 / (dᵀ C⁻¹ d), of this motion and of all later ones,
-    since the scale drifts and does not come back. Assumed is that E is as large along the motion
-    as across it; then v is at least c less that.
+    and its own errors E. Assumed is that E is as large along the motion as across it; with
+    c = 1 / (dᵀ C⁻¹ d), v is then c less that. It is at most the median of v around, since an error
+    that a few motions have alone is their own.
     """
     found = _without_scale(
         np.ascontiguousarray(steps.visual),
         np.ascontiguousarray(steps.covariance),
         np.ascontiguousarray(steps.is_visual),
+        _NEAR,
     )
-    return ScaleDrift(*found)
+    return np.asarray(found, np.float64)
 
 
 @compiled
-def _without_scale(visual, covariance, is_visual):  # type: ignore[no-untyped-def]
+def _without_scale(visual, covariance, is_visual, near):  # type: ignore[no-untyped-def]
     count = len(visual)
-    along, variance, most = np.zeros((count, 3)), np.zeros(count), np.full(count, np.inf)
-    result, drift = covariance.copy(), np.zeros(count)
+    along, variance, result = np.zeros((count, 3)), np.zeros(count), covariance.copy()
     matrix, lower, inverse = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
     scale, unit, across = np.empty(6), np.empty(3), np.empty((3, 3))
     for n in range(count):
@@ -70,24 +61,21 @@ def _without_scale(visual, covariance, is_visual):  # type: ignore[no-untyped-de
             unit[i] = along[n, i] / np.sqrt(squared)
             for j in range(3):
                 informed += along[n, i] * inverse[3 + i, 3 + j] * along[n, j]
-        most[n] = 1.0 / informed
         errors = _largest_across(covariance[n], unit, across)
-        variance[n] = max(0.0, most[n] - errors / squared)  # the least
-    for n in range(1, count):
-        if is_visual[n] and is_visual[n - 1]:
-            variance[n] = max(variance[n], variance[n - 1])
-    for n in range(count - 1, -1, -1):
-        if n + 1 < count and is_visual[n] and is_visual[n + 1]:
-            most[n] = min(most[n], most[n + 1])
-        variance[n] = min(variance[n], most[n])
+        variance[n] = max(0.0, 1.0 / informed - errors / squared)
     for n in range(count):
-        common = (1.0 - _KEPT) * variance[n]
+        if not is_visual[n]:
+            continue
+        first, end = n, n + 1
+        while first > 0 and first > n - near and is_visual[first - 1]:
+            first -= 1
+        while end < count and end <= n + near and is_visual[end]:
+            end += 1
+        common = (1.0 - _KEPT) * min(variance[n], 4.0 * np.median(variance[first:end]))
         for i in range(3):
             for j in range(3):
                 result[n, 3 + i, 3 + j] -= common * along[n, i] * along[n, j]
-        if n + 1 < count and is_visual[n] and is_visual[n + 1]:
-            drift[n] = max(variance[n + 1] - variance[n], 0.0)
-    return result, drift
+    return result
 
 
 @compiled(**NO_REFCOUNT)

@@ -72,6 +72,13 @@ def joined(first: States, second: States) -> States:
     return States(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 
 
+class MapErrors(NamedTuple):
+    """Standard deviations of what the windows of one camera do not tell of their motions."""
+
+    ratio: float = 0.001  # of a motion, relative to its length
+    drift: float = 0.0012  # change of the logarithm of the scale from one motion to the next
+
+
 @dataclass(frozen=True, eq=False)
 class Steps:
     """Measurements between n + 1 consecutive keyframes."""
@@ -84,7 +91,7 @@ class Steps:
     is_visual: Bools  # (n,) whether both keyframes are of one segment
     is_metric: bool  # whether the unit of the map is the metre
     imu_from_cam: Floats  # (4, 4)
-    variance: float = 1.0  # factor of `covariance`, and of the drift of the scale
+    errors: MapErrors = MapErrors()  # of one camera's motions, beside `covariance`
 
 
 def predicted_motion(last: States, measured: Preintegrated) -> tuple[Floats, Floats, Floats]:
