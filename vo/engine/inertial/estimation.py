@@ -188,22 +188,18 @@ def weighed_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) 
     """
     if steps.is_metric:
         return estimate_states(states, steps, prior, noise)
-    least = MapErrors(*(values[0] for values in _MAP_ERRORS.values()))
-    best = estimate_states(states, replace(steps, errors=least), prior, noise)
+
+    def with_errors(errors: MapErrors, near: States) -> Estimate:
+        return estimate_states(near, replace(steps, errors=errors), prior, noise)
+
+    best = with_errors(MapErrors(*(values[0] for values in _MAP_ERRORS.values())), states)
+    doubted = best
     for name, values in _MAP_ERRORS.items():
         for value in values[1:]:
-            tried = replace(steps, errors=best.steps.errors._replace(**{name: value}))
-            found = estimate_states(best.states, tried, prior, noise)
-            if found.evidence <= best.evidence:
+            found = with_errors(best.steps.errors._replace(**{name: value}), best.states)
+            if found.evidence < best.evidence - (_DOUBT if name == "drift" else 0.0):
                 break
-            best = found
-    doubted = best
-    for value in (each for each in _MAP_ERRORS["drift"] if each > best.steps.errors.drift):
-        tried = replace(steps, errors=best.steps.errors._replace(drift=value))
-        found = estimate_states(best.states, tried, prior, noise)
-        if found.evidence < best.evidence - _DOUBT:
-            break
-        doubted = found
+            best, doubted = (found if found.evidence > best.evidence else best), found
     return replace(best, covariance=doubted.covariance, steps=doubted.steps)
 
 

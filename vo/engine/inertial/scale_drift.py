@@ -26,12 +26,8 @@ def without_scale(steps: Steps) -> Floats:
     c = 1 / (dᵀ C⁻¹ d), v is then c less that. It is at most the median of v around, since an error
     that a few motions have alone is their own.
     """
-    found = _without_scale(
-        np.ascontiguousarray(steps.visual),
-        np.ascontiguousarray(steps.covariance),
-        np.ascontiguousarray(steps.is_visual),
-        _NEAR,
-    )
+    fields = steps.visual, steps.covariance, steps.is_visual
+    found = _without_scale(*(np.ascontiguousarray(field) for field in fields), _NEAR)
     return np.asarray(found, np.float64)
 
 
