@@ -27,12 +27,12 @@ def without_scale(steps: Steps) -> Floats:
     that a few motions have alone is their own.
     """
     fields = steps.visual, steps.covariance, steps.is_visual
-    found = _without_scale(*(np.ascontiguousarray(field) for field in fields), _NEAR)
+    found = _without_scale(*(np.ascontiguousarray(field) for field in fields))
     return np.asarray(found, np.float64)
 
 
 @compiled
-def _without_scale(visual, covariance, is_visual, near):  # type: ignore[no-untyped-def]
+def _without_scale(visual, covariance, is_visual):  # type: ignore[no-untyped-def]
     count = len(visual)
     along, variance, result = np.zeros((count, 3)), np.zeros(count), covariance.copy()
     matrix, lower, inverse = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6))
@@ -63,9 +63,9 @@ def _without_scale(visual, covariance, is_visual, near):  # type: ignore[no-unty
         if not is_visual[n]:
             continue
         first, end = n, n + 1
-        while first > 0 and first > n - near and is_visual[first - 1]:
+        while first > 0 and first > n - _NEAR and is_visual[first - 1]:
             first -= 1
-        while end < count and end <= n + near and is_visual[end]:
+        while end < count and end <= n + _NEAR and is_visual[end]:
             end += 1
         common = (1.0 - _KEPT) * min(variance[n], 4.0 * np.median(variance[first:end]))
         for i in range(3):
