@@ -264,10 +264,7 @@ class ChainProblem:
         return equations
 
     def evidence(self, equations: Equations, solution: ChainSolution) -> float:
-        """Logarithm of the probability of the measurements, by the newest equations.
-
-        What does not depend on the errors of the motions by images is left out.
-        """
+        """Logarithm of the measurements' probability, but for what `MapErrors` do not change."""
         determined = np.linalg.slogdet(solution.reduced + equations.after)[1].sum()
         assumed = np.linalg.slogdet(self.visual_information)[1].sum()
         assumed -= 2.0 * np.log(self._sigma_scale[self.steps.is_visual]).sum()

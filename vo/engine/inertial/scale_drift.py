@@ -1,9 +1,4 @@
-"""The common error of a map's scale in the covariances of its motions.
-
-In the map of one camera the motions of all keyframes have one error of the scale in common. Each
-covariance contains the whole of it; taken for an error of its own of each motion it would hide how
-well their lengths agree.
-"""
+"""The common error of a map's scale, taken out of the covariances of its motions."""
 
 from __future__ import annotations
 
