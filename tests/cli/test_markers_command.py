@@ -118,6 +118,10 @@ def test_a_printed_sheet_has_the_size_it_says(tmp_path: Path) -> None:
     assert [marker.id for marker in markers] == [0, 1, 2]
     for marker in markers:
         assert marker.detected.side_px == pytest.approx(0.05 / 0.0254 * 300, rel=0.01)
+    again = CliRunner().invoke(app, words)
+    assert again.exit_code == 1 and "exists already" in again.stderr
+    assert CliRunner().invoke(app, [*words, "--force"]).exit_code == 0
+    sheet.unlink()
     missing = CliRunner().invoke(app, ["markers", "--print", str(sheet)])
     assert "--print needs --length" in missing.stderr
 
@@ -145,7 +149,8 @@ def test_a_printed_board_is_the_one_that_is_found(
     assert len(frame["markers"]) == (12 if kind == "grid" else 10)
     pose = np.array(frame["board"]["cam_from_marker"])
     assert pose[2, 3] == pytest.approx(focal * 0.0254 / 300, rel=5e-3)
-    refused = CliRunner().invoke(app, ["markers", "--print", str(sheet), *board, "--ids", "3"])
+    words = ["markers", "--print", str(sheet), *board, "--ids", "3", "--force"]
+    refused = CliRunner().invoke(app, words)
     assert refused.exit_code == 1 and "a board has those from 0 on" in refused.stderr
 
 

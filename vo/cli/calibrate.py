@@ -10,7 +10,6 @@ from vo.cli.calibrate_options import Request
 from vo.cli.calibrate_recording import (
     check_outputs,
     open_recording,
-    refuse_existing,
     search_progress,
 )
 from vo.cli.echo import echo, echo_json
@@ -62,8 +61,10 @@ def calibrate_command(request: Request) -> None:
         given.dictionary,
         given.legacy,
     )
+    from vo.outputs.results.output_paths import refuse_existing
+
     output = request.output or Path("calibration.yaml")
-    refuse_existing(request, [request.print_board, None if source is None else output])
+    refuse_existing([request.print_board, None if source is None else output], force=request.force)
     if request.print_board is not None:
         _print_board(request.print_board, made)
         if source is None:

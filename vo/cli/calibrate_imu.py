@@ -11,7 +11,6 @@ import numpy as np
 from vo.cli.calibrate_recording import (
     check_outputs,
     open_recording,
-    refuse_existing,
     search_progress,
 )
 from vo.cli.echo import echo, echo_json
@@ -30,13 +29,13 @@ _MAX_FRAMES = 2000
 
 def calibrate_imu(request: Request, source: Path, board: Board, output: Path) -> None:
     """Calibrate, write our own and Kalibr's file, and print the result."""
-    from vo.outputs.results.output_paths import refuse_to_overwrite
+    from vo.outputs.results.output_paths import refuse_existing, refuse_to_overwrite
     from vo.recordings.formats.calibration import write_calibration
     from vo.tools.calibrating.imu_camera import comments, warnings_of
     from vo.tools.calibrating.kalibr_chain import write_chain
 
     kalibr, printing = output.with_name(KALIBR_NAME), request.printing
-    refuse_existing(request, [kalibr])
+    refuse_existing([kalibr], force=request.force)
     refuse_to_overwrite([source], [kalibr])
     check_outputs([source], output, None)
     with interrupts_named(output), printing.warnings():

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from vo.base.errors import ConfigError
 from vo.cli.calibrate_options import Request
-from vo.cli.calibrate_recording import check_outputs, refuse_existing
+from vo.cli.calibrate_recording import check_outputs
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
+    from vo.outputs.results.output_paths import refuse_existing
     from vo.tools.calibrating.imu_noise import ImuNoiseResult, SensorNoise
 
 
@@ -23,7 +24,7 @@ def calibrate_imu_noise(request: Request) -> None:
     if source is None:
         raise ConfigError("give a recording of the inertial sensor at rest")
     output = request.output or Path("imu.yaml")
-    refuse_existing(request, [output])
+    refuse_existing([output], force=request.force)
     check_outputs([source], output, picture)
     with printing.warnings():
         sensor = open_imu(source, request.reading.format, request.reading.topics)

@@ -9,22 +9,12 @@ from typing import TYPE_CHECKING
 
 from vo.base.errors import OutputError
 from vo.base.printable import counted
-from vo.cli.calibrate_options import Request
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from vo.cli.calibrate_options import Request
     from vo.recordings.sources.sequence import ImageSequence
-
-
-def refuse_existing(request: Request, paths: list[Path | None]) -> None:
-    """Refuse to replace files without --force, and what links lead to at all."""
-    from vo.outputs.results.output_paths import refuse_links
-
-    refuse_links(paths)
-    for path in paths:
-        if path is not None and path.is_file() and not request.force:
-            raise OutputError(f"{path} exists already; choose another file, or replace it: --force")
 
 
 def check_outputs(inputs: list[Path], output: Path, picture: Path | None) -> None:

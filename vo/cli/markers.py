@@ -96,6 +96,7 @@ class Request:
     ids: str = option(
         "Markers of the sheet, such as 0-3,7.", default="0", metavar="IDS", panel=_SHEET
     )
+    force: bool = option("Replace an existing sheet.", "--force", default=False, panel=_SHEET)
     picture: Path | None = option(
         "Draw outlines, ids and axes to this .png or .jpg file; of a recording, of the "
         "frame with most markers.",

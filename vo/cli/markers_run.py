@@ -17,7 +17,7 @@ from vo.cli.echo import echo, echo_json
 from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
 from vo.engine.markers.dictionaries import AUTO, CANDIDATES, DEFAULT_TO_PRINT, dictionary_name
-from vo.outputs.results.output_paths import refuse_to_overwrite
+from vo.outputs.results.output_paths import refuse_existing, refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.single_image import read_single_image
@@ -72,7 +72,7 @@ def write_sheet(request: Request, *, is_json: bool) -> None:
     """Write markers or a board to print; raises `VoError`."""
     path, length_m = request.sheet, request.length
     assert path is not None
-    refuse_to_overwrite([], [path])
+    refuse_existing([path], force=request.force)
     name = dictionary_name(request.dictionary)
     name = DEFAULT_TO_PRINT if name == AUTO else name
     board = _board(request, name)

@@ -101,6 +101,21 @@ def refuse_links(outputs: Iterable[Path | None]) -> None:
             )
 
 
+def refuse_existing(outputs: Iterable[Path | None], *, force: bool) -> None:
+    """Check that no output exists without `force`, or is a link, as `refuse_links` says.
+
+    Raises:
+        OutputError: one does.
+    """
+    targets = [path for path in outputs if path is not None]
+    refuse_links(targets)
+    for target in targets:
+        if target.is_file() and not force:
+            raise OutputError(
+                f"{target} exists already; choose another file, or replace it: --force"
+            )
+
+
 _LOCKED = (errno.EAGAIN, errno.EACCES)
 
 
