@@ -169,10 +169,14 @@ def _with_rescue(config: Config, components: Components) -> Config:
     is_usual = features.is_orb and method == "auto" and config.tracking.method == "patches"
     if features.rescue != "auto" or is_exchanged or not is_usual:
         return config
-    from vo.engine.learned.catalog import find_model
-    from vo.engine.learned.files import verify
+    from vo.engine.learned.files import models_folder
 
     try:
+        if not (models_folder() / "xfeat.onnx").is_file():
+            return config
+        from vo.engine.learned.catalog import find_model
+        from vo.engine.learned.files import verify
+
         verify(find_model("xfeat"))
     except (ModelError, OSError, RuntimeError) as error:  # RuntimeError: there is no home
         _log.info("no learned features where ORB fails: %s", error)

