@@ -8,7 +8,7 @@
     vo.read_trajectory, vo.read_calibration     files, in the usual formats
     vo.match, vo.find_markers, vo.ObjectDatabase, vo.features      single images
     vo.maps                                     saved maps
-    vo.info, vo.convert, vo.calibrate, vo.synth, vo.report, vo.batch: the other commands
+    vo.info, vo.convert, vo.calibrate, vo.synth, vo.report, vo.video, vo.batch: other commands
 
 Go on with help(vo.run), help(vo.Odometry), or docs/library.md. All errors are a vo.VoError. The
 names in `__all__` are public; others may change in any release.
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from vo.api.matching import match, panorama
     from vo.api.objects import ObjectDatabase
     from vo.api.odometry import Odometry
+    from vo.api.video import video
     from vo.base.config import Config, load_config
     from vo.base.errors import (
         CalibrationError,
@@ -137,6 +138,7 @@ _DEFINED_IN = {
     "report": "vo.api.commands:report",
     "run": "vo.api.functions:run",
     "synth": "vo.api.commands:synth",
+    "video": "vo.api.video:video",
     "write_calibration": "vo.recordings.formats.calibration:write_calibration",
     "write_trajectory": "vo.recordings.formats.trajectory:write_tum",
 }
@@ -203,6 +205,7 @@ __all__ = [
     "report",
     "run",
     "synth",
+    "video",
     "write_calibration",
     "write_trajectory",
 ]

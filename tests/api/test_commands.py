@@ -25,6 +25,8 @@ def test_a_recording_is_made_inspected_converted_run_and_reported(tmp_path: Path
     pytest.importorskip("matplotlib")
     page = vo.report(tmp_path / "out", images=False)
     assert page == tmp_path / "out" / "report.html" and page.stat().st_size > 10_000
+    film = vo.video(tmp_path / "out", output=tmp_path / "run.mp4", end=12, width=640)
+    assert film.images == 12 and film.output.stat().st_size > 10_000
 
 
 def test_a_batch_runs_all(synthetic_stereo: Path, tmp_path: Path) -> None:

@@ -35,6 +35,7 @@ def commands(folder: Path) -> None:
     )
     print(summary.verdict.word, vo.evaluate(folder / "out", small).ate.translation.rmse)
     page: Path = vo.report([folder / "out"], truth=None, images=False)
+    print(vo.video(folder / "out", small, folder / "run.mp4", speed=2.0).images)
     lens = vo.calibrate(folder / "board", board="charuco", square=0.02).rig.cam0
     result = vo.batch([recording, small], folder / "all", jobs=2, report=True)
     print(page, lens.fx, [each.name for each in result.unfinished])

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from vo.base.errors import SourceError
 from vo.cli import options
 from vo.cli.blocks import argument, option
 from vo.cli.echo import echo
-
-if TYPE_CHECKING:
-    from vo.cli.options import Printing
-    from vo.outputs.report.run_folder import RunRecord
-    from vo.tools.rendering.film import FilmRecorder
 
 
 def video_command(
@@ -60,22 +52,13 @@ def video_command(
 
       vo video out/ my_sequence/ -o talk.mp4 --speed 4
     """
-    from vo.outputs.report.run_folder import read_run
-    from vo.outputs.results.output_paths import refuse_to_overwrite
-    from vo.tools.rendering.film import FilmOptions, FilmRecorder
+    from vo.api.video import video
+    from vo.cli.progress import make_progress
 
-    chosen = FilmOptions(width, speed, start, end)
-    record = read_run(run)
-    recording = str(record.summary["source"]) if source is None else source
-    refuse_to_overwrite([Path(recording)], [output])
-    recorder = FilmRecorder(record, output, chosen)
-    try:
-        _track_again(record, recording, recorder, printing)
-    finally:
-        recorder.close()
-    done = recorder.result()
-    if not done.images:
-        raise SourceError(f"{recording}: no frame of the run could be read; name its recording")
+    progress = make_progress(printing.errors, quiet=printing.quiet)
+    done = video(
+        run, source, output, width=width, speed=speed, start=start, end=end, progress=progress
+    )
     if done.differing:
         echo(
             f"warning: {done.differing} of {done.frames} frames were tracked in another way than "
@@ -87,31 +70,3 @@ def video_command(
     text += f"images      {done.images} of {done.frames} frames, {done.rate:g} per second\n"
     text += f"lost        {done.lost}"
     printing.show(lambda: {**done._asdict(), "output": str(done.output)}, lambda: echo(text))
-
-
-def _track_again(
-    record: RunRecord, recording: str, recorder: FilmRecorder, printing: Printing
-) -> None:
-    """Track the recording of a run with its settings, and draw it."""
-    from vo.base.config import load_config
-    from vo.cli.progress import make_progress
-    from vo.runs.run_recording import run as track
-
-    summary = record.summary
-    calibration = summary.get("calibration")
-    with tempfile.TemporaryDirectory(prefix="vo-video-") as folder:
-        track(
-            recording,
-            Path(folder),
-            config=load_config(record.path / "config.yaml"),
-            mode="mono" if summary["mode"] == "mono" else "auto",
-            start=int(summary["start"]),
-            end=recorder.end,
-            stride=int(summary["stride"]),
-            calibration=None if calibration is None else Path(calibration),
-            format=str(summary["format"]),
-            topics=tuple(summary.get("topics", ())),
-            right_offset_ns=summary.get("right_offset_ns"),
-            recorder=recorder,
-            progress=make_progress(printing.errors, quiet=printing.quiet),
-        )
