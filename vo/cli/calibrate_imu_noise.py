@@ -11,12 +11,12 @@ from vo.cli.calibrate_recording import check_outputs
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
-    from vo.outputs.results.output_paths import refuse_existing
     from vo.tools.calibrating.imu_noise import ImuNoiseResult, SensorNoise
 
 
 def calibrate_imu_noise(request: Request) -> None:
     """Measure, write Kalibr's imu.yaml and perhaps a plot, and print the noise."""
+    from vo.outputs.results.output_paths import refuse_existing
     from vo.recordings.sources.imu_only import open_imu
     from vo.tools.calibrating.imu_noise import measure_noise, warnings_of, write_kalibr
 

@@ -139,7 +139,8 @@ def _use_rolling_shutter() -> None:
 
 
 def _use_screening() -> None:
-    """Call what only a recording with places that look alike needs, with any values."""
+    """Call what only a recording that sees places again needs, with any values."""
+    from vo.engine.loop_verification.landmark_search import LandmarkSearch, keyframe_pair
     from vo.engine.loop_verification.screening import Screening
     from vo.engine.mapping.keyframe import FrameId
     from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
@@ -156,7 +157,9 @@ def _use_screening() -> None:
     )
     of_path = PlaceKey(0, 0), FrameId(0, 0, 0), True, np.eye(4), np.eye(6)
     place = Place(*of_path, descriptor, landmarks, _image(_texture(), 0.0))
-    Screening(built_in_vocabulary(), scale_factor=1.44).passes(place, place, next(_rigs()).cam0)
+    camera = next(_rigs()).cam0
+    Screening(built_in_vocabulary(), scale_factor=1.44).passes(place, place, camera)
+    LandmarkSearch(1.44).by_relation(keyframe_pair(place, [place], camera), np.eye(4))
 
 
 def _frames(stereo: bool) -> Iterator[Frame]:

@@ -111,9 +111,7 @@ def refuse_existing(outputs: Iterable[Path | None], *, force: bool) -> None:
     refuse_links(targets)
     for target in targets:
         if target.is_file() and not force:
-            raise OutputError(
-                f"{target} exists already; choose another file, or replace it: --force"
-            )
+            raise OutputError(f"{target} exists already; choose another file, or `force=True`")
 
 
 _LOCKED = (errno.EAGAIN, errno.EACCES)
