@@ -21,7 +21,7 @@ def give_way() -> None:
 
 @contextmanager
 def one_opencv_thread() -> Iterator[None]:
-    """Let OpenCV work in the threads that call it, while tracking has its own for both images.
+    """Let OpenCV work in the threads that call it alone.
 
     Its other threads spin while they wait: 5 to 8 % of the CPU time of a run on two cores.
     """

@@ -11,6 +11,7 @@ from rich.console import Console
 from vo.base.config import Config, load_config
 from vo.base.errors import ConfigError
 from vo.base.feature_settings import OWN_NETWORK
+from vo.base.scheduling import one_opencv_thread
 from vo.cli.features_table import FeaturesResult
 from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
@@ -19,7 +20,7 @@ from vo.engine.features.opencv import describe_missing
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.tools.drawing import check_plot
-from vo.tools.laboratory.comparison import compare, one_thread, plan_pairs
+from vo.tools.laboratory.comparison import compare, plan_pairs
 from vo.tools.laboratory.examination import examine
 from vo.tools.laboratory.images import (
     GreyImage,
@@ -179,7 +180,10 @@ def _compare_planes(
     if request.picture is not None:
         check_plot(request.picture)
     scores: dict[str, list[PlaneScore]] = {}
-    with counting(console, request.target.name, len(pairs) * len(methods)) as step, one_thread():
+    with (
+        counting(console, request.target.name, len(pairs) * len(methods)) as step,
+        one_opencv_thread(),
+    ):
         for number, pair in enumerate(pairs):
             homography = read_homography(pair.homography)
             first, second = read_image(pair.first).pixels, read_image(pair.second).pixels

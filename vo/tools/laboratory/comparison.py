@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from vo.base.errors import EvaluationError, SourceError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.transforms import inverse, rotation_angle
+from vo.base.scheduling import one_opencv_thread
 from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Frame, Ints, Rig, Trajectory
 from vo.engine.geometry import epipolar
 from vo.outputs.evaluation.association import associate
@@ -160,7 +159,7 @@ def compare(
     """
     rig = rectified_rig(Rig(camera))
     scores: dict[tuple[str, int], list[PairScore]] = {}
-    with one_thread():
+    with one_opencv_thread():
         for number, recorded in enumerate(pairs):
             pair = _rectified(recorded, rig)
             for method in methods:
@@ -172,17 +171,6 @@ def compare(
     order = {method.name: number for number, method in enumerate(methods)}
     keys = sorted(scores, key=lambda key: (order[key[0]], key[1]))
     return [summarise(*key, scores[key]) for key in keys]
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Let OpenCV work in the calling thread alone, so that CPU times are those of the method."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def _rectified(pair: ImagePair, rig: RectifiedRig) -> ImagePair:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vo.base.scheduling import one_opencv_thread
 from vo.base.types import Floats32, Keypoints
-from vo.tools.laboratory.comparison import one_thread
 from vo.tools.laboratory.images import GreyImage
 from vo.tools.laboratory.methods import Method
 
@@ -32,7 +32,7 @@ class FeatureReport:
 def examine(method: Method, image: GreyImage) -> tuple[FeatureReport, Keypoints]:
     """Extract features, several times if it is fast; the shortest time counts."""
     times: list[float] = []
-    with one_thread():
+    with one_opencv_thread():
         while not times or (len(times) < _REPEATS and sum(times) < _ENOUGH_S):
             begin = time.process_time()
             found = method.extract(image.pixels, image.mask)
