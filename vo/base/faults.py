@@ -11,6 +11,7 @@ class FaultKind(StrEnum):
 
     IMAGE_FIXED_FEATURES = "image_fixed_features"
     TWO_MOTIONS = "two_motions"
+    BENT_MAP = "bent_map"
     CHANGING_APPEARANCE = "changing_appearance"
     REPEATED_IMAGES = "repeated_images"
     REPEATED_RIGHT_IMAGES = "repeated_right_images"

@@ -128,7 +128,7 @@ def confirming(in_view: int, found: int, inliers: int) -> TrackedFrame:
 
 @pytest.mark.parametrize("frame", [confirming(1000, 200, 190), confirming(200, 190, 130)])
 def test_a_fifth_frame_in_a_row_that_confirms_little_is_a_fault(frame: TrackedFrame) -> None:
-    agreement = MapAgreement()
+    agreement = MapAgreement(is_metric=True)
     assert [agreement.update(frame) for _ in range(4)] == [()] * 4
     (fault,) = agreement.update(frame)
     assert fault == Fault(FaultKind.TWO_MOTIONS, value=1.0 - frame.inlier_ratio)
@@ -136,13 +136,33 @@ def test_a_fifth_frame_in_a_row_that_confirms_little_is_a_fault(frame: TrackedFr
 
 
 def test_single_frames_and_new_maps_are_no_fault() -> None:
-    agreement = MapAgreement()
+    agreement = MapAgreement(is_metric=True)
     few, usual = confirming(1000, 200, 190), confirming(1000, 600, 560)
     assert not any(agreement.update(each) for each in [few, few, few, few, usual] * 3)
     for _ in range(4):
         agreement.update(few)
     agreement.restart()
     assert agreement.update(few) == ()
+
+
+@pytest.mark.parametrize(("agreeing", "is_bent"), [(82, True), (92, False)])
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_landmarks_of_one_camera_that_are_found_elsewhere_than_before_are_a_fault(
+    agreeing: int, is_bent: bool, is_metric: bool
+) -> None:
+    """Found as the map has them: 98 of 100, and later less, as after a quick turn."""
+    agreement = MapAgreement(is_metric=is_metric)
+    assert not any(agreement.update(confirming(110, 100, 98)) for _ in range(40))
+    found = [agreement.update(confirming(110, 100, agreeing)) for _ in range(10)]
+    kinds = [fault.kind for faults in found for fault in faults]
+    assert set(kinds) == ({FaultKind.BENT_MAP} if is_bent and not is_metric else set())
+    assert not any(found[:4])
+
+
+@pytest.mark.parametrize("agreeing", [100, 82])
+def test_a_lens_that_always_disagrees_a_little_is_no_bent_map(agreeing: int) -> None:
+    agreement = MapAgreement(is_metric=False)
+    assert not any(agreement.update(confirming(110, 100, agreeing)) for _ in range(60))
 
 
 @pytest.mark.parametrize(
@@ -153,7 +173,7 @@ def test_single_frames_and_new_maps_are_no_fault() -> None:
 def test_a_scene_that_changes_its_look_is_a_fault(
     correlation: float, ratio: float, is_fault: bool
 ) -> None:
-    agreement = MapAgreement()
+    agreement = MapAgreement(is_metric=True)
     frame = tracked(0.0, ratio)
     scored = replace(frame, observed=replace(NOTHING, score=np.full(100, correlation)))
     found = [agreement.update(scored) for _ in range(40)]

@@ -86,7 +86,7 @@ class Tracker:
         self._aligner = aligner(local_map, frontend, config.min_inliers)
         self._estimator = PoseEstimator(local_map, frontend.stereo.sigma_disparity_px, config)
         self._steps = StepCheck(is_metric=local_map.rig.is_metric)
-        self._agreement = MapAgreement()
+        self._agreement = MapAgreement(is_metric=local_map.rig.is_metric)
         self._focal_change = FocalChangeDetector()
         self._torn_images = TornImageDetector(local_map.rig.height)
         self._updates = 0

@@ -25,6 +25,12 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "{value:.0%} of the map in view do not agree with the motion found: something large that "
         "moves may fill the image, and which motion is the camera's is uncertain: {frames}",
     ),
+    FaultKind.BENT_MAP: (
+        "{value:.0%} of the landmarks found are not where the map has them: {frames}",
+        "{value:.0%} of the landmarks found are not where the map has them, which was right before "
+        "(a quick or blurred turn?), so that scale and direction of the path may be wrong from "
+        "there on: {frames}; turn more slowly, or record a second camera or an inertial sensor",
+    ),
     FaultKind.CHANGING_APPEARANCE: (
         "{value:.0%} of the landmarks in view are not found again: {frames}",
         "{value:.0%} of the landmarks in view are not found where they should be, as the scene "

@@ -17,6 +17,7 @@ from vo.base.types import Estimate, Ints, Skipped, State
 # Found by tracking, and not in the images alone.
 _OF_TRACKING = (
     FaultKind.TWO_MOTIONS,
+    FaultKind.BENT_MAP,
     FaultKind.IMPLAUSIBLE_STEP,
     FaultKind.WRONG_STEREO_CALIBRATION,
     FaultKind.WRONG_LENS,
