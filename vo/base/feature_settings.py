@@ -71,7 +71,7 @@ class FeaturesConfig(Section):
     rescue: Literal["auto", "none", "xfeat"] = Field(
         "auto",
         description="learned features where orb fails, and only there; auto: xfeat where its file "
-        "is there, in recordings without an inertial sensor",
+        "is there, in recordings of one camera without an inertial sensor",
     )
     selection: Literal["grid", "ssc", "strongest"] = expert(
         "grid", description="which are kept where a detector other than orb finds more than count"

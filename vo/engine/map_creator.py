@@ -18,11 +18,7 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 
 
 class StereoInitializer:
-    """Starts a map from the disparities of one frame.
-
-    Args:
-        min_points: minimum number of landmarks of the map.
-    """
+    """Starts a map from the disparities of one frame."""
 
     def __init__(self, local_map: LocalMap, mapper: LocalMapper, min_points: int) -> None:
         self._map = local_map
@@ -86,7 +82,7 @@ class MapCreator:
         before, self._before = self._before, frame
         is_fresh = not self._monocular.waiting
         keyframe = self._create(self._monocular, frame, pose, segment)
-        if isinstance(keyframe, Failure) and self._rescue.may_avert(keyframe) and is_fresh:
+        if isinstance(keyframe, Failure) and is_fresh and self._rescue.may_avert(keyframe):
             if not (self._map.rig.is_metric or before is None or self._second.has_reference):
                 self._second.attempt(before.of_kind(is_second=True))
             again = self._create(self._second, frame.of_kind(is_second=True), pose, segment)

@@ -39,7 +39,7 @@ class Odometry:
     Attributes:
         hidden: ratio of the recorded images that masks of the whole run hide, by camera.
         map_alignment: closes loops and uses an inertial sensor, if it is asked to.
-        networks: model, device and SHA-256 of each network in use.
+        networks: those that have been loaded.
 
     Args:
         rig: the cameras, as recorded.
@@ -60,9 +60,8 @@ class Odometry:
         warm_up(Odometry)
         cv2.setRNGSeed(config.seed)
         self.stopwatch = Stopwatch()
-        with networks_used(config.features.device) as networks:
+        with networks_used(config.features.device) as self.networks:
             stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
-        self.networks = tuple(network._asdict() for network in networks)
         self._preprocessor = stages.preprocessor
         self.hidden = stages.preprocessor.hidden
         self._window_optimizer = stages.window_optimizer

@@ -96,12 +96,7 @@ class Recovery:
     def track(
         self, frame: PreprocessedFrame, last_from_cam: Floats | None
     ) -> tuple[PreprocessedFrame, TrackedFrame | Failure]:
-        """Track a frame with features of either kind; the frame with those of the map's kind.
-
-        Args:
-            frame: the frame.
-            last_from_cam: (4, 4) by sparse image alignment, None without.
-        """
+        """Track a frame with features of either kind; the frame with those of the map's kind."""
         is_lost = self.state is State.LOST or self._frozen_camera.has_withheld
         frame = self._rescue.of_map(frame)
         tracked = self._tracker.track(frame, last_from_cam, is_lost=is_lost)

@@ -23,7 +23,6 @@ from vo.engine.frontend.contracts import (
     DescriptorFormat,
     FeatureExtractor,
     Matcher,
-    PointDescriber,
 )
 from vo.engine.frontend.frontend import Frontend, make_frontend
 from vo.engine.frontend.matching import HammingMatcher
@@ -46,11 +45,12 @@ from vo.engine.refinement.calibration_refiner import CalibrationRefiner
 from vo.engine.tracking.keyframe_policy import KeyframeForecast, KeyframePolicy
 from vo.engine.tracking.monocular_initializer import MonocularInitializer
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
-from vo.engine.tracking.rescue import Kinds, Rescue
+from vo.engine.tracking.rescue import Rescue
 from vo.engine.tracking.tracker import Tracker
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:
+    from vo.engine.features.second_kind import SecondKind
     from vo.engine.inertial_path.alignment import InertialAlignment
     from vo.engine.memory.final_adjustment import FinalAdjustment
     from vo.engine.memory.memory import Memory
@@ -116,8 +116,7 @@ def make_stages(
     rectified = rectified_rig(rig)
     masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
     threads = config.threads or available_cores()
-    second = _second_extractor(config, components)
-    frontend = _frontend(config, components, second)
+    frontend, second = _frontend(config, components)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_metric)
     descriptors = frontend.extractor.descriptor_format
     given = components.inertial_sensor
@@ -139,8 +138,8 @@ def make_stages(
     window = SlidingWindow(local_map, optimizer, sigma_px, config.smoothing, stopwatch, factors)
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
     updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
-    kinds = None if second is None else Kinds(OrbExtractor(config.features), second)
-    rescue = Rescue(local_map, tracker, frontend.matcher, kinds, config.start.min_matches)
+    first, needed = OrbExtractor(config.features), config.start.min_matches
+    rescue = Rescue(local_map, tracker, frontend.matcher, first, second, needed)
     initializers = _initializers(local_map, mapper, frontend, config, predictor)
     creator = MapCreator(local_map, *initializers, rescue, tracker, updater, trajectory)
     map_alignment = MapAlignment(memory, inertial, final)
@@ -268,26 +267,16 @@ def _initializers(
     )
 
 
-def _second_extractor(config: Config, components: Components) -> PointDescriber | None:
-    """What `features.rescue` names, beside ORB."""
-    features = config.features
-    if not features.is_rescued:
-        return None
-    is_exchanged = components.extractor is not None or components.matcher is not None
-    if features.detector != "orb" or is_exchanged:
+def _frontend(config: Config, components: Components) -> tuple[Frontend, SecondKind | None]:
+    """Features and matching, and those of a second kind, beside ORB, if `features.rescue` says."""
+    features, matching = config.features, config.matching
+    extractor, matcher = components.extractor, components.matcher
+    is_exchanged = extractor is not None or matcher is not None
+    if features.is_rescued and (features.detector != "orb" or is_exchanged):
         raise ConfigError(
             f"features.rescue is {features.rescue}, which helps features.detector=orb alone; "
             "leave one of them out"
         )
-    from vo.engine.features.extractor import make_rescuer
-
-    return make_rescuer(features)
-
-
-def _frontend(config: Config, components: Components, second: FeatureExtractor | None) -> Frontend:
-    """Features and matching; with a matcher for both kinds where there are two."""
-    features, matching = config.features, config.matching
-    extractor, matcher = components.extractor, components.matcher
     is_default = features.is_orb and matching.method == "auto" and matching.cross_check
     if not is_default or extractor is not None:
         # Imported where they are used: loading all kinds of features takes a while.
@@ -297,12 +286,12 @@ def _frontend(config: Config, components: Components, second: FeatureExtractor |
         own = None if extractor is not None else features
         extractor = extractor or make_extractor(features)
         matcher = matcher or make_matcher(matching, extractor, own)
-    if second is not None:
-        from vo.engine.features.matching import MatcherOfKinds, make_matcher
+    if not features.is_rescued:
+        return make_frontend(config, extractor, matcher), None
+    from vo.engine.features.second_kind import SecondKind
 
-        usual = matcher or HammingMatcher(matching)
-        matcher = MatcherOfKinds(usual, make_matcher(matching, second))
-    return make_frontend(config, extractor, matcher)
+    second = SecondKind(config, matcher or HammingMatcher(matching))
+    return make_frontend(config, extractor, second), second
 
 
 def _preprocessor(

@@ -15,7 +15,6 @@ from vo.base.config import Config, MemoryConfig, dump_config
 from vo.base.errors import (
     CalibrationError,
     ConfigError,
-    ModelError,
     NoCalibration,
     SourceError,
     VoError,
@@ -117,7 +116,8 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(options.start, options.end, options.stride * every)
     decided = _with_loops(config, options, is_live)
-    if not is_live and components.inertial_sensor is None:
+    is_metric = stream.rig.is_stereo or stream.rig.has_depth
+    if not (is_live or is_metric) and components.inertial_sensor is None:
         decided = _with_rescue(decided, components)
     process = options.optimizer_process
     with closing(Odometry(stream.rig, decided, components, process)) as odometry:
@@ -174,12 +174,7 @@ def _with_rescue(config: Config, components: Components) -> Config:
     try:
         if not (models_folder() / "xfeat.onnx").is_file():
             return config
-        from vo.engine.learned.catalog import find_model
-        from vo.engine.learned.files import verify
-
-        verify(find_model("xfeat"))
-    except (ModelError, OSError, RuntimeError) as error:  # RuntimeError: there is no home
-        _log.info("no learned features where ORB fails: %s", error)
+    except RuntimeError:  # there is no home
         return config
     rescued = features.model_copy(update={"rescue": "xfeat"})
     return config.model_copy(update={"features": rescued})

@@ -20,7 +20,7 @@ def summarise_odometry(
         "loops": map_alignment.closed_loops,
         "relocalisations": map_alignment.relocalisations,
         "map": map_alignment.map_use,
-        "networks": odometry.networks,
+        "networks": tuple(network._asdict() for network in odometry.networks),
         "inertial": map_alignment.inertial,
     }
     errors = odometry.calibration_errors

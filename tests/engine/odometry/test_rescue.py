@@ -230,3 +230,21 @@ def test_xfeat_tracks_the_cabinet_where_orb_cannot(tmp_path: Path) -> None:
     inputs = load_inputs(tmp_path / "auto" / "trajectory.tum", CABINET)
     found = evaluate(inputs.estimate, inputs.reference, "sim3")
     assert found.ate.translation.rmse < 0.02 * found.path_m
+
+
+def test_a_file_is_loaded_where_orb_fails_and_a_damaged_one_is_a_warning_then(
+    recording: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setenv("VO_MODELS", str(tmp_path))
+    monkeypatch.setattr(contrast, "_MIN_RANGE", 0.0)
+    (tmp_path / "xfeat.onnx").write_bytes(b"damaged")
+    track(recording.mono_rig, recording.mono()[:30], RESCUED)
+    assert not caplog.records
+    faint_frames = [faint(frame) for frame in recording.mono()[:30]]
+    lost = track(recording.mono_rig, faint_frames, RESCUED)
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "vo models fetch xfeat" in caplog.text
+    assert all(each.world_from_cam0 is None for each in lost.estimates)

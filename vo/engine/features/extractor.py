@@ -110,7 +110,15 @@ def make_extractor(config: FeaturesConfig) -> FeatureExtractor:
 
 
 def make_rescuer(config: FeaturesConfig) -> PointDescriber:
-    """The extractor that `features.rescue` names."""
+    """The extractor that `features.rescue` names, if its file is as it was made.
+
+    Raises:
+        ModelError: it is missing, or was changed.
+    """
+    from vo.engine.learned.catalog import find_model
+    from vo.engine.learned.files import verify
+
+    verify(find_model(config.rescue))
     chosen = config.model_copy(update={"detector": config.rescue})
     return cast("PointDescriber", make_extractor(chosen))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -290,34 +289,3 @@ def grid_motion_consistent(
     rows = {m.queryIdx for m in kept}
     good = np.array([q in rows for q in matches.query.tolist()], dtype=bool)
     return Matches(matches.query[good], matches.train[good], matches.score[good])
-
-
-class MatcherOfKinds:
-    """Matches binary descriptors with one matcher and all others with a second one.
-
-    Args:
-        binary: for descriptors of uint8.
-        learned: for all others, of features without octaves.
-    """
-
-    def __init__(self, binary: Matcher, learned: Matcher) -> None:
-        self._binary = binary
-        self._learned = learned
-
-    def match(
-        self,
-        query: FeatureSet,
-        train: FeatureSet,
-        region: SearchRegion = None,
-        *,
-        ratio: float | None = None,
-        check_rotation: bool = True,
-    ) -> Matches:
-        """See `vo.engine.frontend.contracts.Matcher.match`."""
-        if query.descriptor.dtype == np.uint8:
-            return self._binary.match(
-                query, train, region, ratio=ratio, check_rotation=check_rotation
-            )
-        # Landmarks change their octave where their patch is replaced by a larger or smaller one.
-        query = replace(query, octave=np.zeros(len(query), np.int32))
-        return self._learned.match(query, train, region, ratio=ratio, check_rotation=check_rotation)

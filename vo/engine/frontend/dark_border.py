@@ -27,12 +27,7 @@ class DarkBorder:
         self._seen = lit if self._seen is None else cv2.bitwise_or(self._seen, lit, self._seen)
 
     def near(self, shape: tuple[int, ...], distance_px: int) -> Bools:
-        """(H, W) where the border is, and up to a distance from it; nowhere without a border.
-
-        Args:
-            shape: (H, W) of the result.
-            distance_px: pixels of the result.
-        """
+        """(H, W) where the border is, and up to a distance from it; nowhere without a border."""
         field = None if self._seen is None else _convex_field(self._seen)
         if field is None:
             return np.zeros(shape, dtype=bool)

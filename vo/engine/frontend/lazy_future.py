@@ -10,11 +10,7 @@ T = TypeVar("T")
 
 
 class LazyFuture(Generic[T]):
-    """A result that is computed when it is needed, or in a thread before that.
-
-    Args:
-        executor: where to start ahead of time; None never does.
-    """
+    """A result that is computed when it is needed, or in a thread before that."""
 
     def __init__(self, work: Callable[[], T], executor: Executor | None) -> None:
         self._work = work

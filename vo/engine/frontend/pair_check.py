@@ -58,12 +58,7 @@ class Signs(NamedTuple):
 
 
 def disparity_signs(disparity: Floats, fx: float) -> Signs:
-    """Signs of the disparities (N,) of matched points.
-
-    Args:
-        disparity: pixels in rectified images.
-        fx: focal length in pixels.
-    """
+    """Signs of the disparities (N,) of matched points."""
     clear = np.abs(disparity) > _CLEAR_PX
     count, positive = int(clear.sum()), int((disparity[clear] > 0).sum())
     if count < _MIN_CLEAR:

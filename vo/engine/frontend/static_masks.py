@@ -35,9 +35,6 @@ class StaticMasks:
         left: (H, W) uint8 of camera 0, 0 or 255; None without one.
         hidden: ratio of the recorded images that is hidden, by camera.
 
-    Args:
-        recorded: masks of the recorded images, by camera.
-
     Raises:
         ConfigError: nothing is left of an image.
     """

@@ -48,12 +48,7 @@ class Agreement(NamedTuple):
 
 
 def agreement(problem: ChainProblem, states: States) -> Agreement:
-    """Test the most probable states of a world.
-
-    Args:
-        problem: its measurements.
-        states: their most probable values.
-    """
+    """Test the most probable states of a world."""
     test = _ScoreTest(problem, states)
     found = _of_residuals(problem, states)
     if found is not None or len(problem.inertial_rows) < 2 * _MIN_STEPS:

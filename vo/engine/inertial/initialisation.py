@@ -135,12 +135,7 @@ def _why_not(matrix: Floats, scale: float, gravity: Floats) -> NotYet:
 
 
 def tilt_sigma(world_from_imu: Floats, covariance: Floats) -> float:
-    """Standard deviation of the direction of gravity in the sensor's frame, radians.
-
-    Args:
-        world_from_imu: (3, 3).
-        covariance: of the state, rotation first.
-    """
+    """Standard deviation of the direction of gravity in the sensor's frame, radians."""
     in_world = world_from_imu @ covariance[:3, :3] @ world_from_imu.T
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(in_world[:2, :2])[-1])))
 

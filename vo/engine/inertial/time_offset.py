@@ -55,9 +55,6 @@ class OffsetSearch:
 
     Attributes:
         found: the newest measurement, None without.
-
-    Args:
-        reader: follows.
     """
 
     def __init__(self, reader: SampleReader) -> None:
@@ -67,12 +64,7 @@ class OffsetSearch:
         self._is_over = False
 
     def is_due(self, frames: int, *, has_states: bool) -> bool:
-        """Whether to measure now: rarely before the first states, and once when there are any.
-
-        Args:
-            frames: how many have a pose.
-            has_states: whether first states were found.
-        """
+        """Whether to measure now: rarely before the first states, and once when there are any."""
         if self._is_over or not (has_states or frames >= self._due):
             return False
         self._due = 2 * frames

@@ -83,11 +83,7 @@ class InertialGaps:
         self._states = {k: s for k, s in self._states.items() if s.frame_index < frame_index}
 
     def bridged(self, worlds: Collection[int] | None) -> list[InertialFrame]:
-        """The lost frames in gaps of up to `MAX_GAP_S`.
-
-        Args:
-            worlds: numbers of the worlds whose lengths are metres, None for all.
-        """
+        """Lost frames in gaps of up to `MAX_GAP_S`, in all worlds or in those given, in metres."""
         store, reached = self._trajectory.store, self._trajectory.reached
         frames = store.frames
         if len(frames) < 2 or not self._states:

@@ -47,11 +47,7 @@ class InertialTurns:
         self._imu_from_cam0 = imu_from_cam0
 
     def turned(self, done: list[InertialFrame]) -> list[InertialFrame]:
-        """Frames with an orientation.
-
-        Args:
-            done: frames that have a pose by the sensor already.
-        """
+        """Frames with an orientation, without those that have a pose by the sensor already."""
         reached, frames = self._trajectory.reached, self._trajectory.store.frames
         if not self._log.turns:
             return []

@@ -96,9 +96,6 @@ class OpenCvInference:
 class OnnxRuntimeInference:
     """ONNX Runtime, on the first device that works.
 
-    Args:
-        device: where to compute.
-
     Raises:
         ConfigError: this device is not there, or not usable.
         ModelError: the file cannot be loaded.
@@ -180,10 +177,18 @@ def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Infe
     return inference
 
 
+def networks_so_far() -> list[Network]:
+    """The list of the context, to which networks that are loaded later can be added."""
+    networks = _used.get()
+    return [] if networks is None else networks
+
+
 @contextmanager
-def networks_used(device: Device = "auto") -> Iterator[list[Network]]:
+def networks_used(
+    device: Device = "auto", so_far: list[Network] | None = None
+) -> Iterator[list[Network]]:
     """The networks that are loaded in this context; a device that none of them uses is said."""
-    networks: list[Network] = []
+    networks = [] if so_far is None else so_far
     token = _used.set(networks)
     try:
         yield networks

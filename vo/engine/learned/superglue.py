@@ -67,10 +67,6 @@ def log_assignment(similarity: Floats32, bin_score: float) -> Floats:
 
     Source: Sinkhorn and Knopp, "Concerning nonnegative matrices and doubly stochastic matrices",
     1967; here 100 iterations.
-
-    Args:
-        similarity: (N, M) of each pair.
-        bin_score: similarity of a feature to the bin.
     """
     rows, columns = similarity.shape
     scores = np.full((rows + 1, columns + 1), bin_score, np.float64)

@@ -42,11 +42,7 @@ class StereoFeatures:
 
 
 class StereoTriangulator:
-    """Triangulates features with a disparity.
-
-    Args:
-        max_new: maximum number of landmarks per frame.
-    """
+    """Triangulates features with a disparity."""
 
     def __init__(self, local_map: LocalMap, frontend: Frontend, max_new: int) -> None:
         self._map = local_map

@@ -36,9 +36,6 @@ class LocalMapper:
 
     Attributes:
         stopwatch: measures the stage `map`.
-
-    Args:
-        stopwatch: measures the stage `map`.
     """
 
     def __init__(

@@ -41,11 +41,7 @@ Correction = DisparityCorrection | RadialDistortionCorrection
 
 
 class CalibrationRefiner:
-    """Estimates corrections: of the lens, and in stereo of the disparity bias that remains.
-
-    Args:
-        has_depth: whether disparities are those of a depth camera, which has other errors.
-    """
+    """Estimates corrections: of the lens, and in stereo of the disparity bias that remains."""
 
     def __init__(self, rig: RectifiedRig, config: RefinementConfig, *, has_depth: bool) -> None:
         self._rig = rig

@@ -28,11 +28,7 @@ _ENOUGH = 5
 
 
 class LandmarkAligner:
-    """Finds landmarks in a frame to sub-pixel.
-
-    Args:
-        min_inliers: minimum number of landmarks of a tracked frame.
-    """
+    """Finds landmarks in a frame to sub-pixel."""
 
     def __init__(self, local_map: LocalMap, frontend: Frontend, min_inliers: int) -> None:
         self._map = local_map

@@ -17,11 +17,7 @@ _MAX_ITERATIONS, _CONFIDENCE = 200, 0.999  # of RANSAC
 
 
 class PoseEstimator:
-    """Estimates poses from landmarks of the map.
-
-    Args:
-        sigma_disparity_px: standard deviation of a disparity.
-    """
+    """Estimates poses from landmarks of the map."""
 
     def __init__(
         self, local_map: LocalMap, sigma_disparity_px: float, config: TrackingConfig

@@ -7,7 +7,7 @@ images of its keyframes, and the frame is tried again. If that fails too, they a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from vo.base.failures import Failure, FailureReason
@@ -26,6 +26,9 @@ from vo.engine.mapping.map_features import (
 from vo.engine.mapping.tracked_frame import TrackedFrame
 from vo.engine.tracking.tracker import Tracker
 
+if TYPE_CHECKING:
+    from vo.engine.features.second_kind import SecondKind
+
 # Failures that other features may avert: those of their number, not those of the motion.
 _AVERTABLE = (
     FailureReason.FEW_FEATURES,
@@ -39,22 +42,12 @@ _MIN_CONTRAST = 4.0  # grey levels; no network finds anything in a black image
 _ENOUGH = 2
 
 
-class Kinds(NamedTuple):
-    """Extractors of both kinds.
-
-    Attributes:
-        second: used where the first one fails.
-    """
-
-    first: PointDescriber
-    second: PointDescriber
-
-
 class Rescue:
     """Decides which kind of features a map has.
 
     Args:
-        kinds: the extractors; None without a second kind, so that nothing is ever rescued.
+        first: extractor of the kind that the map usually has.
+        second: used where the first one fails; None if nothing is ever rescued.
         min_matches: matches that a first map needs.
     """
 
@@ -63,13 +56,14 @@ class Rescue:
         local_map: LocalMap,
         tracker: Tracker,
         matcher: Matcher,
-        kinds: Kinds | None,
+        first: PointDescriber,
+        second: SecondKind | None,
         min_matches: int,
     ) -> None:
         self._map = local_map
         self._tracker = tracker
         self._matcher = matcher
-        self._kinds = kinds
+        self._first, self._second = first, second
         self._enough = _ENOUGH * min_matches
         # Features of the kind that the map does not have, extracted while tracking was lost.
         self._others: WeakKeyDictionary[Keyframe, KeyframeFeatures] = WeakKeyDictionary()
@@ -77,11 +71,13 @@ class Rescue:
 
     def may_avert(self, failure: Failure) -> bool:
         """Whether features of another kind are there and may avert a failure."""
-        return self._kinds is not None and failure.reason in _AVERTABLE
+        return (
+            self._second is not None and failure.reason in _AVERTABLE and self._second.is_usable()
+        )
 
     def of_map(self, frame: PreprocessedFrame) -> PreprocessedFrame:
         """A frame with features of the kind that the map has."""
-        if self._kinds is None:
+        if self._second is None:
             return frame
         return frame.of_kind(is_second=self._map.has_second_kind)
 
@@ -93,7 +89,9 @@ class Rescue:
         Returns:
             The frame with features of the map's kind, and its pose or the failure before.
         """
-        if not self.may_avert(failure) or frame.pyramid[-1].std() < _MIN_CONTRAST:
+        if self._second is None or frame.pyramid[-1].std() < _MIN_CONTRAST:
+            return frame, failure
+        if not self.may_avert(failure):
             return frame, failure
         last = self._tracker.last
         counts = self._map.visible.copy(), self._map.found.copy()
@@ -113,7 +111,7 @@ class Rescue:
 
     def at_keyframe(self, frame: PreprocessedFrame) -> PreprocessedFrame:
         """Go back to the first kind once it matches from one keyframe to the next; the frame."""
-        if self._kinds is None or not self._map.has_second_kind:
+        if self._second is None or not self._map.has_second_kind:
             return frame
         before, self._before = self._before, frame.of_kind(is_second=False).keypoints
         if before is not None:
@@ -126,8 +124,8 @@ class Rescue:
 
     def _exchange(self) -> MapFeatures:
         """Give the map features of the other kind; those that it had."""
-        assert self._kinds is not None
-        extractor = self._kinds.first if self._map.has_second_kind else self._kinds.second
+        assert self._second is not None
+        extractor = self._first if self._map.has_second_kind else self._second
         keyframes = self._map.keyframes
         for keyframe in keyframes:
             if keyframe not in self._others:
