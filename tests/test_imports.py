@@ -77,7 +77,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"inspection", "laboratory", "maps", "markers", "objects", "rendering"},
     ),
     "vo.runs": (
-        {"inertial_checks", "interrupts", "pose_log", "progress", "scaling"},
+        {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"},
         {"run_options", "run_scale", "run_summary"},
         {"camera_estimation", "run_session"},
         {"run_recording"},

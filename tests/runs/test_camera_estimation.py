@@ -56,8 +56,11 @@ def test_the_camera_of_images_without_calibration_is_estimated(
     assert any("was estimated without a calibration" in each for each in summary["warnings"])  # type: ignore[attr-defined]
     # The file that is written gives the same path, without an estimate.
     file = tmp_path / "out" / "estimated_calibration.yaml"
-    status, text, again = run_on(folder, tmp_path / "again", "--calibration", str(file))
+    saved = tmp_path / "saved.yaml"
+    options = ("--calibration", str(file), "--save-calibration", str(saved))
+    status, text, again = run_on(folder, tmp_path / "again", *options)
     assert status == 0
+    assert read_calibration(saved).rig.cam0 == read_calibration(file).rig.cam0
     assert again["estimated_camera"] is None
     assert not (tmp_path / "again" / "estimated_calibration.yaml").exists()
     same = [(tmp_path / each / "trajectory.tum").read_bytes() for each in ("out", "again")]

@@ -87,6 +87,7 @@ class RunWords(SettingWords, total=False):
     colmap: str | Path | None
     ply: str | Path | None
     exports: Exports | None
+    save_calibration: str | Path | None
     poses: str | Sequence[str | PoseSink]
     allow_origins: Sequence[str]
     components: Components

@@ -62,6 +62,8 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     for camera in report.cameras:
         yield camera.name, _camera(camera)
         yield "", _image_quality(camera)
+    if report.clip:
+        yield "camera", ", ".join(report.clip)
     if report.pair is not None:
         yield from _pair(report.pair)
     if report.calibration is None:

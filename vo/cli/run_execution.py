@@ -85,6 +85,7 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
         **outputs.exports.files,
         "raw frames": request.live.record,
         "map": outputs.save_map,
+        "calibration": outputs.save_calibration,
     }
     files = WrittenFiles.of(request.output, others)
     record = {"output": str(request.output), "files": [str(path) for path in files.paths]}
@@ -144,6 +145,7 @@ def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: Ex
         poses=poses,
         allow_origins=outputs.allow_origin or (),
         save_map=outputs.save_map,
+        save_calibration=outputs.save_calibration,
         **options,
     )
 

@@ -244,6 +244,11 @@ class Outputs:
         default=None,
         metavar="FILE",
     )
+    save_calibration: Path | None = option(
+        "Write the calibration that is used to this file, such as one estimated from the images.",
+        default=None,
+        metavar="FILE",
+    )
     mcap: Path | None = option(
         "Also write an MCAP file for Foxglove.", default=None, metavar="FILE"
     )

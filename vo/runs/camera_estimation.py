@@ -10,8 +10,9 @@ from __future__ import annotations
 import logging
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ import numpy as np
 from vo.base.config import Config
 from vo.base.errors import CalibrationError, NoCalibration
 from vo.base.records.estimated_camera import EstimatedCamera
-from vo.base.types import Camera, Floats, Frame, KeyframePose, Rig, Sightings
+from vo.base.types import Camera, Estimate, Floats, Frame, KeyframePose, Rig, Sightings
 from vo.engine.backend.lens_adjustment import (
     FROM_A_GUESS,
     IDEAL,
@@ -33,10 +34,12 @@ from vo.engine.backend.lens_adjustment import (
 from vo.engine.odometry import Odometry
 from vo.recordings.formats.calibration import write_calibration
 from vo.recordings.formats.warning_kinds import warning_kind
+from vo.recordings.sources.camera_hint import NO_HINT, CameraHint, camera_hint
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.recordings.sources.uncalibrated import open_uncalibrated
 from vo.runs.run_options import RunOptions
+from vo.runs.sensor_alignment import align_sensor
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +56,7 @@ _PARTS, _SYSTEMATIC, _PER_PART = 3, 0.008, 0.6
 
 
 class _Tracked(NamedTuple):
-    frames: int
+    path: list[Estimate]  # frames with a pose
     views: KeyframeViews
 
 
@@ -68,10 +71,15 @@ def open_estimated(
     _log.warning("%s: no calibration: focal length and distortion are estimated first", source)
     opening = {"format": options.format, "topics": options.topics}
     stream = open_uncalibrated(source, mode="mono", **opening)  # type: ignore[arg-type]
-    camera, found = estimate_camera(stream, config, options, missing)
+    size = stream.rig.cam0.width, stream.rig.cam0.height
+    hint = camera_hint(Path(source), stream.first_image, size)
+    camera, found, path = estimate_camera(stream, config, options, missing, hint)
+    sensor = next(iter(stream.imus), None)
+    is_loose = sensor is not None and sensor.cam0_from_imu is None
+    imu = align_sensor(stream.imus[0], path) if is_loose else None
     with tempfile.TemporaryDirectory(prefix="vo-") as folder:
         file = Path(folder, "calibration.yaml")
-        write_calibration(file, Rig(camera))
+        write_calibration(file, Rig(camera), imu=imu)
         opened = open_source(source, calibration=file, mode="mono", **opening)  # type: ignore[arg-type]
     if found.is_uncertain:
         _log.warning(
@@ -90,35 +98,47 @@ def open_estimated(
 
 
 def estimate_camera(
-    stream: Recording, config: Config, options: RunOptions, missing: NoCalibration
-) -> tuple[Camera, EstimatedCamera]:
-    """The camera of a recording, with equal focal lengths along both axes.
+    stream: Recording,
+    config: Config,
+    options: RunOptions,
+    missing: NoCalibration,
+    hint: CameraHint = NO_HINT,
+) -> tuple[Camera, EstimatedCamera, list[Estimate]]:
+    """The camera of a recording, with equal focal lengths along both axes, and a path by it.
 
     Raises:
         CalibrationError: no guess leads to a path with parallax.
     """
-    search = _Search(stream, config, options)
+    search = _Search(stream, config, options, hint)
     best = search.best_guess()
+    told = Lens(round(hint.focal_px, 6), *search.middle)
+    if best is None and hint.is_known:
+        found = EstimatedCamera(told.focal, round(hint.sigma_px, 3), *told[1:], 0, hint.told_by)
+        return search.camera(told), found, []
     if best is None:
         raise CalibrationError(
             f"{missing}; it cannot be estimated from the images: none of the usual fields of view "
             f"leads to a path in the first {_FIRST_FRAMES} frames (an estimate needs a camera that "
             "moves, not only turns, and texture)"
         )
-    adjusted, used = search.converged(best.lens)
+    adjusted, path = search.converged(best.lens)
     deviation = [p.lens.focal / adjusted.lens.focal - 1.0 for p in search.parts(adjusted)]
     spread = _PER_PART * float(np.sqrt(np.mean(np.square(deviation)))) if deviation else 1.0
     lens = Lens(*(round(float(value), 6) + 0.0 for value in adjusted.lens))
     sigma = lens.focal * float(np.linalg.norm([_SYSTEMATIC, spread, adjusted.relative_sigma]))
-    found = EstimatedCamera(lens.focal, round(sigma, 3), *lens[1:], used)
-    return search.camera(lens), found
+    if hint.sigma_px < sigma:  # the motion says less than the camera
+        lens, sigma = told, hint.sigma_px
+    found = EstimatedCamera(lens.focal, round(sigma, 3), *lens[1:], len(path), hint.told_by)
+    return search.camera(lens), found, path
 
 
 class _Search:
-    def __init__(self, stream: Recording, config: Config, options: RunOptions) -> None:
-        self._stream, self._options = stream, options
+    def __init__(
+        self, stream: Recording, config: Config, options: RunOptions, hint: CameraHint
+    ) -> None:
+        self._stream, self._options, self._hint = stream, options, hint
         self._size = stream.rig.cam0.width, stream.rig.cam0.height
-        self._middle = (np.array(self._size) - 1.0) / 2.0
+        self.middle = (self._size[0] - 1.0) / 2.0, (self._size[1] - 1.0) / 2.0
         off = {"lens_correction": False}, {"loops": False, "map": "", "localize": False}
         self._config = config.model_copy(
             update={
@@ -130,34 +150,39 @@ class _Search:
     def camera(self, lens: Lens) -> Camera:
         """The camera with a lens, in OpenCV's model."""
         focal, cx, cy, k1, k2 = lens
+        found = Camera(*self._size, focal, focal, cx, cy, readout_s=self._hint.readout_s)
         if k1 == k2 == 0.0:
-            return Camera(*self._size, focal, focal, cx, cy)
-        return Camera(*self._size, focal, focal, cx, cy, "radtan", (k1, k2, 0.0, 0.0))
+            return found
+        return replace(found, distortion_model="radtan", distortion=(k1, k2, 0.0, 0.0))
 
     def best_guess(self) -> AdjustedLens | None:
         """The adjusted guess with the smallest residuals, of those that track most frames."""
+        told = self._best_of([self._hint.focal_px]) if self._hint.is_known else None
+        half = [float(np.tan(np.radians(field / 2.0))) for field in _FIELDS_DEG]
+        return told or self._best_of([0.5 * self._size[0] / each for each in half])
+
+    def _best_of(self, focals: Sequence[float]) -> AdjustedLens | None:
         width, found = self._size[0], []
-        for field in _FIELDS_DEG:
+        for focal in focals:
             for k1 in _GUESSED_K1:
-                focal = 0.5 * width / float(np.tan(np.radians(field / 2.0)))
-                cx, cy = self._middle.tolist()
-                lens = Lens(focal, cx, cy, k1, 1.2 * k1 * k1)
+                lens = Lens(focal, *self.middle, k1, 1.2 * k1 * k1)
                 tracked = self._tracked(lens, _FIRST_FRAMES)
                 adjusted = (
                     None if tracked is None else self._adjusted(tracked.views, lens, FROM_A_GUESS)
                 )
                 if tracked is None or adjusted is None:
                     continue
-                _log.info("%.0f° across, k1 %.2f: %s, %.3f px", field, k1, *adjusted[::2])
+                _log.info("%.0f px, k1 %.2f: %s, %.3f px", focal, k1, *adjusted[::2])
                 if _WIDTHS[0] < adjusted.lens.focal / width < _WIDTHS[1]:
-                    found.append((tracked.frames, adjusted))
+                    found.append((len(tracked.path), adjusted))
         most = max((frames for frames, _ in found), default=0)
         usable = [each for frames, each in found if frames >= _MIN_TRACKED * most]
         return min(usable, key=lambda each: each.residual_px, default=None)
 
-    def converged(self, lens: Lens) -> tuple[AdjustedLens, int]:
-        """The lens once it stays as it is, and the number of frames that were tracked for it."""
-        adjusted, used = None, 0
+    def converged(self, lens: Lens) -> tuple[AdjustedLens, list[Estimate]]:
+        """The lens once it stays as it is, and the path that was tracked for it."""
+        adjusted: AdjustedLens | None = None
+        path: list[Estimate] = []
         for number in range(_PASSES):
             tracked = self._tracked(lens, _FIRST_FRAMES if number == 0 else _FRAMES)
             again = None
@@ -166,8 +191,8 @@ class _Search:
             if tracked is None or again is None:
                 break
             change = abs(again.lens.focal / lens.focal - 1.0)
-            adjusted, used, lens = again, tracked.frames, again.lens
-            _log.info("over %d frames: %s", used, lens)
+            adjusted, path, lens = again, tracked.path, again.lens
+            _log.info("over %d frames: %s", len(path), lens)
             if number > 0 and change < _CONVERGED:
                 break
         if adjusted is None:
@@ -175,7 +200,7 @@ class _Search:
         if abs(lens.k1) < _IDEAL_K1:
             straight = lens._replace(k1=0.0, k2=0.0)
             adjusted = self._adjusted(adjusted.views, straight, IDEAL) or adjusted
-        return adjusted, used
+        return adjusted, path
 
     def parts(self, adjusted: AdjustedLens) -> Iterator[AdjustedLens]:
         """The lens by each third of the keyframes alone."""
@@ -204,10 +229,11 @@ class _Search:
         sightings: dict[int, Sightings] = {}
         points: dict[int, Floats] = {}
         poses: dict[int, KeyframePose] = {}
-        frames = 0
+        path: list[Estimate] = []
         with closing(Odometry(Rig(self.camera(lens)), self._config)) as odometry:
             for estimate in odometry.track_all(self._frames(count)):
-                frames += estimate.world_from_cam0 is not None
+                if estimate.world_from_cam0 is not None:
+                    path.append(estimate)
                 poses.update({each.frame_index: each for each in estimate.keyframes})
                 landmarks = odometry.snapshot().landmarks if estimate.keyframes else None
                 if landmarks is not None:
@@ -220,8 +246,8 @@ class _Search:
         rows = [n for n in sorted(sightings) if n in poses and poses[n].segment == largest]
         if len(rows) < _MIN_KEYFRAMES:
             return None
-        views = _views(rows[:_MAX_KEYFRAMES], sightings, points, poses, self._middle)
-        return _Tracked(frames, views)
+        views = _views(rows[:_MAX_KEYFRAMES], sightings, points, poses, np.array(self.middle))
+        return _Tracked(path, views)
 
     def _frames(self, count: int) -> Iterator[Frame]:
         options = self._options

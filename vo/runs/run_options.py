@@ -61,6 +61,8 @@ class RunOptions:
         recorder: recorder to use instead of `rrd` and `viewer`.
         exports: files for other programs.
         save_map: file for the stored keyframes and where they are; not with `memory.loops=false`.
+        save_calibration: file for the calibration that is used; an estimated one is written into
+            the output otherwise.
         poses: where to send each pose at once: `-`, `udp://HOST:PORT`, `ws://HOST:PORT`, or a sink.
         allow_hosts: to which redirects and playlists of a live stream may lead besides its own.
         allow_origins: web pages, such as `https://example.org`, that may read poses from `ws://`,
@@ -97,6 +99,7 @@ class RunOptions:
     recorder: Recorder | None = None
     exports: Exports | None = None
     save_map: Path | None = None
+    save_calibration: Path | None = None
     poses: Sequence[str | PoseSink] = ()
     allow_origins: Sequence[str] = ()
     components: Components = BUILT_IN

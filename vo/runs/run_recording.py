@@ -37,7 +37,7 @@ from vo.outputs.results.output_paths import (
 )
 from vo.outputs.results.summary import Summary
 from vo.outputs.streaming.streams import PoseStreams, opened_streams
-from vo.recordings.formats.calibration import write_calibration
+from vo.recordings.formats.calibration import ImuCalibration, write_calibration
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
@@ -134,10 +134,21 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
             recorder.begin(name, stream.rig, stream.ground_truth)
             # Last: it clears an earlier run.
             folder = RunFolder(Path(output), dump_config(config), space)
-            if opened.estimated_camera is not None:
-                comment = f"estimated from the images: {opened.estimated_camera.in_words}"
-                write_calibration(folder.path / CAMERA, stream.rig, [comment])
+            _save_calibration(opened, folder)
             return RunSession(opened, odometry, folder, recorder, poses).run(frames)
+
+
+def _save_calibration(opened: OpenedRun, folder: RunFolder) -> None:
+    """Write the calibration where it was asked for, or an estimated one into the output."""
+    stream, camera, file = opened.stream, opened.estimated_camera, opened.options.save_calibration
+    if camera is None and file is None:
+        return
+    comments = [] if camera is None else [f"estimated from the images: {camera.in_words}"]
+    sensor = next(iter(stream.imus), None) if isinstance(stream, Recording) else None
+    imu = None
+    if sensor is not None and sensor.cam0_from_imu is not None:
+        imu = ImuCalibration(sensor.cam0_from_imu, sensor.noise, sensor.time_offset_s)
+    write_calibration(file or folder.path / CAMERA, stream.rig, comments, imu)
 
 
 def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:
@@ -190,7 +201,7 @@ def _check_outputs(
     check_maps(memory, saves=options.save_map is not None)
     path = Path(source) if isinstance(source, str | Path) else None
     exports, save_map = options.exports or Exports(), options.save_map
-    files = (options.rrd, *exports.files.values(), options.record)
+    files = (options.rrd, *exports.files.values(), options.record, options.save_calibration)
     masks = [Path(split_cameras(text)[1]) for text in config.masks.files]
     vocabulary = Path(memory.vocabulary) if memory.vocabulary else None
     inputs = (path, options.calibration, vocabulary, *masks)

@@ -253,6 +253,16 @@ def write_video(path: Path) -> None:
     write_text(path.with_suffix(".yaml"), CALIBRATION)
 
 
+def write_stray(folder: Path) -> None:
+    write_video(folder / "rgb.mp4")
+    fx, fy, cx, cy = INTRINSICS
+    write_text(folder / "camera_matrix.csv", f"{fx}, 0.0, {cx}\n0.0, {fy}, {cy}\n0.0, 0.0, 1.0")
+    rows = [line.split() for line in tum_text(truth()).splitlines()]
+    text = "".join(f"{', '.join([row[0], f'{n:06d}', *row[1:]])}\n" for n, row in enumerate(rows))
+    head = "timestamp, frame, x, y, z, qx, qy, qz, qw\n"
+    write_text(folder / "odometry.csv", head + text)
+
+
 def log_messages(codec: str = "mono8") -> Iterator[tuple[str, Message]]:
     """The same frames as messages; `codec` is mono8 or png."""
     cam0_from_cam1 = np.eye(4)
@@ -313,6 +323,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "nerf": write_nerf,
     "glob": write_glob,
     "video": write_video,
+    "stray": write_stray,
     "mcap": write_mcap,
     "rosbag1": write_rosbag1,
     "rosbag2": write_rosbag2,

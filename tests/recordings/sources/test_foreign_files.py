@@ -11,7 +11,6 @@ from pathlib import Path
 
 import layouts
 import pytest
-import video_files
 
 from vo.base.errors import CalibrationError, SourceError
 from vo.recordings.formats.calibration import read_calibration
@@ -150,11 +149,3 @@ def test_camera_model_of_robotcar(tmp_path: Path) -> None:
     file.write_text("983.04 983.04 643.6 493.4\n0 0 1 0\n1 0 0 0\n0 1 0 0\n0 0 0 1\n")
     with pytest.raises(CalibrationError, match=r"RobotCar.*\[983\.04, 983\.04, 643\.6, 493\.4\]"):
         read_calibration(file, (1280, 960))
-
-
-def test_folder_of_stray_scanner(tmp_path: Path) -> None:
-    video_files.write(tmp_path / "rgb.mp4", "libx264")
-    (tmp_path / "camera_matrix.csv").write_text("50, 0, 31.5\n0, 50, 23.5\n0, 0, 1\n")
-    message = _message(tmp_path)
-    assert f"give {tmp_path}/rgb.mp4 with `calibration={tmp_path}/camera_matrix.csv`" in message
-    open_source(tmp_path / "rgb.mp4", calibration=tmp_path / "camera_matrix.csv")

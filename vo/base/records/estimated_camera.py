@@ -8,7 +8,12 @@ _MAX_RELATIVE_SIGMA = 0.03  # of the focal length, above which a path is not to 
 
 
 class EstimatedCamera(NamedTuple):
-    """Focal length and its standard deviation, principal point, and `radtan` coefficients."""
+    """Focal length and its standard deviation, principal point, and `radtan` coefficients.
+
+    Attributes:
+        frames: those that it was estimated from.
+        told_by: where the first guess is from, such as EXIF; empty for the images alone.
+    """
 
     focal_px: float
     sigma_px: float
@@ -17,6 +22,7 @@ class EstimatedCamera(NamedTuple):
     k1: float
     k2: float
     frames: int
+    told_by: str = ""
 
     @property
     def is_uncertain(self) -> bool:
@@ -26,7 +32,8 @@ class EstimatedCamera(NamedTuple):
     @property
     def in_words(self) -> str:
         """For people, and for comments."""
+        told = f" (first guess: {self.told_by})" if self.told_by else ""
         return (
             f"focal length {self.focal_px:.1f} ± {self.sigma_px:.1f} px, principal point "
-            f"({self.cx:.1f}, {self.cy:.1f}), k1 {self.k1:+.4f}, k2 {self.k2:+.4f}"
+            f"({self.cx:.1f}, {self.cy:.1f}), k1 {self.k1:+.4f}, k2 {self.k2:+.4f}{told}"
         )

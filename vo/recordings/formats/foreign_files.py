@@ -195,11 +195,6 @@ KINDS = (
 
 _FOLDERS: tuple[tuple[set[str], str, str], ...] = (
     (
-        {"rgb.mp4", "camera_matrix.csv"},
-        "a recording of Stray Scanner",
-        "give {folder}/rgb.mp4 with `calibration={folder}/camera_matrix.csv`",
-    ),
-    (
         {"color", "intrinsic", "pose"},
         "an extracted ScanNet recording",
         "give {folder}/color with `calibration={folder}/intrinsic/intrinsic_color.txt`",

@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 _NS_PER_S = 1_000_000_000
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 NS_PER_DAY = 86_400 * _NS_PER_S
-_SIGMA_PER_DOP_M = 2.0  # horizontal error of a receiver, for one unit of dilution of precision
+SIGMA_PER_DOP_M = 2.0  # horizontal error of a receiver, for one unit of dilution of precision
 _STAMP_S = ("t", "time", "stamp", "timestamp", "time_s", "stamp_s", "seconds")
 _STAMP_NS = ("stamp_ns", "time_ns", "timestamp_ns", "timestamp [ns]", "#timestamp [ns]")
 _GEODETIC = (("latitude", "lat"), ("longitude", "lon", "lng"), ("altitude", "alt", "height"))
@@ -225,7 +225,7 @@ def _gga(fields: Sequence[str]) -> list[float]:
     longitude = _degrees(fields[4], 3) * (-1.0 if fields[5] == "W" else 1.0)
     height = float(fields[9] or 0.0) + float(fields[11] or 0.0)
     dop = float(fields[8]) if fields[8] else float("nan")
-    return [latitude, longitude, height, _SIGMA_PER_DOP_M * dop if dop > 0.0 else float("nan")]
+    return [latitude, longitude, height, SIGMA_PER_DOP_M * dop if dop > 0.0 else float("nan")]
 
 
 def _degrees(text: str, digits: int) -> float:

@@ -179,6 +179,17 @@ def time_slice(stamps_ns: Ints, first_ns: int | None, last_ns: int | None) -> sl
     return slice(start, end)
 
 
+def joined_samples(gyro: ImuSamples, accel: ImuSamples) -> ImuSamples:
+    """Samples of two sensors in one: accelerations at the stamps of the gyroscope."""
+    stamps, unreadable = gyro.stamps_ns, gyro.unreadable + accel.unreadable
+    if len(accel) == 0:
+        return ImuSamples(stamps[:0], gyro.gyro[:0], gyro.accel[:0], unreadable)
+    # Relative to the first stamp, because a float64 cannot represent nanoseconds since 1970.
+    times, accel_times = stamps - stamps[:1], accel.stamps_ns - stamps[:1]
+    columns = [np.interp(times, accel_times, axis) for axis in accel.accel.T]
+    return ImuSamples(stamps, gyro.gyro, np.stack(columns, axis=1), unreadable)
+
+
 def make_samples(
     stamps_ns: list[int], values: list[list[float]] | Floats, unreadable: int
 ) -> ImuSamples:

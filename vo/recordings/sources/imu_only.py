@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from vo.base.errors import SourceError
+from vo.recordings.sources.clip import gopro_imu
 from vo.recordings.sources.euroc import euroc_imus
+from vo.recordings.sources.gopro import RAW_SUFFIX
 from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.logs.imu import imu_topics, log_imus
 from vo.recordings.sources.registry import FORMATS, choose_format, gather, open_container
@@ -20,6 +22,8 @@ def open_imu(path: Path, format: str | None = None, topics: Sequence[str] = ()) 
     """
     if format is None and path.suffix.lower() == ".csv" and path.is_file():
         return euroc_imus(path.resolve().parent, None, lambda: None, [path])[0]
+    if format is None and path.suffix.lower() == RAW_SUFFIX and path.is_file():
+        return gopro_imu(path)
     root = path / "mav0" if (path / "mav0").is_dir() else path
     found: Sequence[Imu] = ()
     if format in (None, "euroc") and any(root.glob("imu*/data.csv")):

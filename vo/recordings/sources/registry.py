@@ -86,11 +86,12 @@ FORMATS: dict[str, Format] = {
         (".json",),
     ),
     "glob": Format("vo.recordings.sources.folder:gather_glob"),
-    "video": Format("vo.recordings.sources.video_file:gather_video", suffixes=VIDEO_SUFFIXES),
+    "video": Format("vo.recordings.sources.clip:gather_clip", suffixes=VIDEO_SUFFIXES),
     "folder": Format(
         "vo.recordings.sources.folder:gather_folder",
         ("left", *(f"*{s}" for s in IMAGE_SUFFIXES), "images", "images.zip"),
     ),
+    "stray": Format("vo.recordings.sources.clip:gather_stray", ("camera_matrix.csv",)),
 }
 """Formats in the order of detection: the first that matches a path is used."""
 

@@ -97,6 +97,11 @@ class ImageSequence:
         return len(self._left)
 
     @property
+    def first_image(self) -> StoredImage:
+        """The first image of cam0, as stored."""
+        return self._left[0].image
+
+    @property
     def stamps_ns(self) -> Ints:
         """(N,) stamps of all frames before slicing."""
         return np.array([shot.stamp_ns for shot in self._left], dtype=np.int64)

@@ -17,11 +17,17 @@ from vo.recordings.formats.messages import PathMessage, PoseMessage, PositionFix
 from vo.recordings.formats.positions import PositionTable, is_nmea, read_nmea, read_position_csv
 from vo.recordings.formats.track_files import read_track
 from vo.recordings.formats.trajectory import has_stamps, read_trajectory
+from vo.recordings.sources.gopro import RAW_SUFFIX, open_gopro
 from vo.recordings.sources.logs.log import Log, Topic
 from vo.recordings.sources.logs.poses import poses_on_topic
 from vo.recordings.sources.logs.stamps import message_stamps
 from vo.recordings.sources.oxts import read_oxts_positions
-from vo.recordings.sources.registry import FORMATS, detect_format, open_container
+from vo.recordings.sources.registry import (
+    FORMATS,
+    VIDEO_SUFFIXES,
+    detect_format,
+    open_container,
+)
 
 _log = logging.getLogger(__name__)
 AUTO = "auto"
@@ -30,6 +36,7 @@ _METRES_PER_DEGREE = 111_320.0
 _DIGITS = 9  # of degrees: a tenth of a millimetre
 _MIN_GAPS = 3  # between rounded values
 _MULTIPLE = 0.01
+_TRACK_SUFFIXES = (".srt", ".SRT", ".gpx", ".GPX", ".nmea")
 _KINDS = (PositionFixMessage, PoseMessage, PathMessage)
 
 
@@ -97,6 +104,8 @@ def read_positions(given: str, recording: str | None = None) -> Positions:
     for folder in (path, path / "oxts"):
         if folder.name == "oxts" and (folder / "timestamps.txt").is_file():
             return _of_table(read_oxts_positions(folder), str(folder))
+    if path.is_file() and path.suffix.lower() in (*VIDEO_SUFFIXES, RAW_SUFFIX):
+        return _of_video(path)
     log = log_of(path)
     if log is not None:
         return _from_log(log, wanted)
@@ -132,6 +141,20 @@ def log_of(path: Path) -> Log | None:
     except (SourceError, OSError):
         return None
     return open_container(path, name) if FORMATS[name].has_topics else None
+
+
+def _of_video(path: Path) -> Positions:
+    """Positions in a video of a GoPro camera, or else in a track of its name beside it."""
+    gopro = open_gopro(path)
+    table = None if gopro is None else gopro.positions()
+    if table is not None:
+        return _of_table(table, f"{path} (GPMF)")
+    beside = [path.with_suffix(suffix) for suffix in _TRACK_SUFFIXES]
+    track = next((each for each in beside if each.is_file()), None)
+    if track is None:
+        names = ", ".join(each.name for each in beside)
+        raise SourceError(f"{path} has no positions in it (GPMF), or beside it ({names})")
+    return _from_text(track)
 
 
 def _from_text(path: Path) -> Positions:

@@ -14,6 +14,7 @@ from vo.base.types import Camera, Floats, Ints, Rig, Trajectory
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.logs.log import Topic
 from vo.recordings.sources.pairing import pair_by_stamp
+from vo.tools.inspection.clip_facts import clip_facts
 from vo.tools.inspection.findings import with_findings
 from vo.tools.inspection.image_records import CameraReport, StereoReport
 from vo.tools.inspection.images import ImageReader, check_images, evenly_spaced
@@ -80,6 +81,7 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
         stereo=stereo,
         truth=None if opened.truth is None else _truth(opened.truth, stamps),
         pose_topics=opened.pose_names,
+        clip=clip_facts(opened),
         has_depth=opened.rig is not None and opened.rig.has_depth,
         findings=(),
         command="",

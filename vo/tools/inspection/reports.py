@@ -143,5 +143,6 @@ class Report:
     # Topics of a log with poses, and `TOPIC:PARENT:CHILD` of frames that move
     pose_topics: tuple[str, ...]
     has_depth: bool  # whether frames have depth images
+    clip: tuple[str, ...]  # of a video or photographs: what the camera says of itself
     findings: tuple[Finding, ...]  # problems and remarks, the most serious first
     command: str  # command to try next; empty if none can work yet

@@ -14,7 +14,13 @@ from vo.base.types import Floats, ImuNoise, Ints
 from vo.recordings.formats.calibration import ImuCalibration
 from vo.recordings.formats.messages import ImuMessage
 from vo.recordings.formats.stamp_units import MAX_STAMP_NS
-from vo.recordings.sources.imu import Imu, ImuSamples, make_samples, time_slice
+from vo.recordings.sources.imu import (
+    Imu,
+    ImuSamples,
+    joined_samples,
+    make_samples,
+    time_slice,
+)
 from vo.recordings.sources.logs.images import sorted_by_stamp
 from vo.recordings.sources.logs.log import Entry, Log, Topic
 from vo.recordings.sources.logs.realsense_bag import stream_of
@@ -164,7 +170,7 @@ class PairedImu:
         before = int(np.searchsorted(accel_ns, stamps_ns[0], side="right")) - 1
         after = int(np.searchsorted(accel_ns, stamps_ns[-1]))
         accel = self._accel.read(int(accel_ns[before]), int(accel_ns[after]))
-        return _joined(self._gyro.read(int(stamps_ns[0]), int(stamps_ns[-1])), accel)
+        return joined_samples(self._gyro.read(int(stamps_ns[0]), int(stamps_ns[-1])), accel)
 
     def read_some(self, max_samples: int) -> ImuSamples:
         """See `Imu.read_some`: one part from the middle."""
@@ -173,16 +179,6 @@ class PairedImu:
             return self.read()
         start = (len(stamps) - max_samples) // 2
         return self.read(int(stamps[start]), int(stamps[start + max_samples - 1]))
-
-
-def _joined(gyro: ImuSamples, accel: ImuSamples) -> ImuSamples:
-    stamps, unreadable = gyro.stamps_ns, gyro.unreadable + accel.unreadable
-    if len(accel) == 0:
-        return ImuSamples(stamps[:0], gyro.gyro[:0], gyro.accel[:0], unreadable)
-    # Relative to the first stamp, because a float64 cannot represent nanoseconds since 1970.
-    times, accel_times = stamps - stamps[:1], accel.stamps_ns - stamps[:1]
-    columns = [np.interp(times, accel_times, axis) for axis in accel.accel.T]
-    return ImuSamples(stamps, gyro.gyro, np.stack(columns, axis=1), unreadable)
 
 
 def log_imus(
