@@ -13,6 +13,7 @@ from typing import Literal
 import yaml
 from pydantic import Field
 
+from vo.base.errors import ConfigError
 from vo.base.settings import (
     Section,
     find_preset,
@@ -152,6 +153,25 @@ def recipe_folder() -> Path:
 def recipe_names() -> list[str]:
     """Names of the presets."""
     return names_in(recipe_folder())
+
+
+def effect_settings(text: str) -> list[str]:
+    """Settings of a list of effects, such as `none,blur=2`.
+
+    Raises:
+        ConfigError: a part is not of the form NAME=STRENGTH.
+    """
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    settings = []
+    for number, part in enumerate(parts):
+        if part == "none" and number == 0:
+            names = [name for name in Effects.model_fields if name != "light"]
+            settings += [f"effects.{name}=0" for name in names]
+        elif "=" in part:
+            settings.append(f"effects.{part}")
+        else:
+            raise ConfigError(f"invalid effect '{part}'; use NAME=STRENGTH, such as blur=2")
+    return settings
 
 
 def load_recipe(preset: str | Path | None = None, overrides: Sequence[str] = ()) -> Recipe:

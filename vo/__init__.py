@@ -8,7 +8,8 @@
     vo.read_trajectory, vo.read_calibration     files, in the usual formats
     vo.match, vo.find_markers, vo.ObjectDatabase, vo.features      single images
     vo.maps                                     saved maps
-    vo.info, vo.convert, vo.calibrate, vo.synth, vo.report, vo.video, vo.batch: other commands
+    vo.info, vo.convert, vo.synth, vo.report, vo.video, vo.batch: other commands
+    vo.calibrate, vo.calibrate_imu, vo.calibrate_imu_noise, vo.print_board
 
 Go on with help(vo.run), help(vo.Odometry), or docs/library.md. All errors are a vo.VoError. The
 names in `__all__` are public; others may change in any release.
@@ -24,7 +25,8 @@ from vo.base.version import __version__
 
 if TYPE_CHECKING:
     from vo.api import features, maps
-    from vo.api.commands import batch, calibrate, convert, info, report, synth
+    from vo.api.calibration import calibrate, calibrate_imu, calibrate_imu_noise, print_board
+    from vo.api.commands import batch, convert, info, report, synth
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
     from vo.api.matching import match, panorama
@@ -120,7 +122,9 @@ _DEFINED_IN = {
     "Trajectory": "vo.base.types:Trajectory",
     "VoError": "vo.base.errors:VoError",
     "batch": "vo.api.commands:batch",
-    "calibrate": "vo.api.commands:calibrate",
+    "calibrate": "vo.api.calibration:calibrate",
+    "calibrate_imu": "vo.api.calibration:calibrate_imu",
+    "calibrate_imu_noise": "vo.api.calibration:calibrate_imu_noise",
     "convert": "vo.api.commands:convert",
     "evaluate": "vo.api.functions:evaluate",
     "features": "vo.api.features",
@@ -131,6 +135,7 @@ _DEFINED_IN = {
     "match": "vo.api.matching:match",
     "open": "vo.recordings.sources.registry:open_source",
     "panorama": "vo.api.matching:panorama",
+    "print_board": "vo.api.calibration:print_board",
     "quat_xyzw_from_rotation": "vo.base.geometry.transforms:quat_xyzw_from_rotation",
     "read_calibration": "vo.recordings.formats.calibration:read_calibration",
     "read_trajectory": "vo.recordings.formats.trajectory:read_trajectory",
@@ -188,6 +193,8 @@ __all__ = [
     "__version__",
     "batch",
     "calibrate",
+    "calibrate_imu",
+    "calibrate_imu_noise",
     "convert",
     "evaluate",
     "features",
@@ -198,6 +205,7 @@ __all__ = [
     "match",
     "open",
     "panorama",
+    "print_board",
     "quat_xyzw_from_rotation",
     "read_calibration",
     "read_trajectory",

@@ -10,8 +10,8 @@ import vo
 
 
 def commands(folder: Path) -> None:
-    recording: Path = vo.synth(folder / "walk", "demo", seconds=3.0, mono=True, camera="kitti")
-    found = vo.info(recording, mode="mono", topics=["/left"])
+    recording: Path = vo.synth(folder / "walk", "demo", seconds=3.0, mono=True, effects="blur=2")
+    found = vo.info(recording, mode="mono", topics=["/left"], picture=folder / "sheet.png")
     print(found.path, found.command, [each.what for each in found.findings])
     small: Path = vo.convert(recording, folder / "small", resize="0.5", start=3, to="euroc")
     summary: vo.Summary = vo.run(
@@ -34,13 +34,23 @@ def commands(folder: Path) -> None:
         poses=["udp://localhost:9000"],
     )
     print(summary.verdict.word, vo.evaluate(folder / "out", small).ate.translation.rmse)
+    errors = vo.evaluate("log.mcap", small, topics=["estimate=/odom"], picture="errors.png")
+    print(errors.ate.translation.rmse)
     page: Path = vo.report([folder / "out"], truth=None, images=False)
     print(vo.video(folder / "out", small, folder / "run.mp4", speed=2.0).images)
-    lens = vo.calibrate(folder / "board", board="charuco", square=0.02).rig.cam0
-    result = vo.batch([recording, small], folder / "all", jobs=2, report=True)
+    vo.print_board(folder / "board.pdf", board="charuco", columns=7, rows=5, square=0.02)
+    cameras = vo.calibrate(folder / "board", board="charuco", square=0.02, picture="seen.png")
+    lens = cameras.rig.cam0
+    sensor = vo.calibrate_imu(folder / "swing", folder / "imu.yaml", calibration="camera.yaml")
+    noise = vo.calibrate_imu_noise(folder / "rest", picture="allan.png").noise
+    print(sensor.imu.cam0_from_imu, sensor.found.time_offset_s, noise.gyro_noise)
+    result = vo.batch([recording, small], folder / "all", jobs=2, report=True, memory_mb=4000)
+    vo.batch("s3://bucket/drives/", folder / "all", ray="auto", threads=4)
     print(page, lens.fx, [each.name for each in result.unfinished])
     vo.run(small, folder / "out", heigth=1.65)  # type: ignore[call-arg]
     vo.run(small, folder / "out", end="5")  # type: ignore[arg-type]
+    vo.batch(small, folder / "b", memory="4")  # type: ignore[call-arg]
+    vo.print_board(folder / "b.pdf", look_at=3)  # type: ignore[call-arg]
     vo.convert(small, folder / "b", too="kitti")  # type: ignore[call-arg]
 
 

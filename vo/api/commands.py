@@ -4,35 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack, get_type_hints
+from typing import Any, TypedDict, Unpack, get_type_hints
 
-from data_synth.recipe import load_recipe
+from data_synth.recipe import effect_settings, load_recipe
 from data_synth.sequence import make_sequence
 from vo.api import conversion
 from vo.api.conversion_choices import output_format, size_of
 from vo.api.report_entries import read_entries
 from vo.base.config import load_config
-from vo.base.errors import OutputError
+from vo.base.errors import ConfigError
 from vo.base.extras import require
 from vo.base.types import Mode
 from vo.outputs.report.page import make_page, write_page, write_plots
 from vo.outputs.results.output_paths import refuse_to_overwrite
-from vo.recordings.formats.calibration import write_calibration
-from vo.recordings.sources.uncalibrated import open_uncalibrated
-from vo.runs.batch.batch import BatchResult, LocalEngine, run_batch
+from vo.runs.batch.batch import BatchProgress, BatchResult, Engine, LocalEngine, run_batch
 from vo.runs.batch.execution import Limits
 from vo.runs.batch.job import Job
 from vo.runs.batch.planning import plan
 from vo.runs.run_options import checked_options
-from vo.tools.calibrating.board import make_board
-from vo.tools.calibrating.calibrate import CalibrationResult
-from vo.tools.calibrating.calibration_figures import comments
-from vo.tools.calibrating.recorded import calibrate_recorded
+from vo.tools.inspection.images import write_contact_sheet
 from vo.tools.inspection.inspection import DEFAULT_IMAGES, inspect
 from vo.tools.inspection.opening import open_leniently
 from vo.tools.inspection.reports import Report
 
 Name = str | Path
+_LIMITS = ("threads", "timeout_s", "memory_mb", "retries")
 
 
 class Reading(TypedDict, total=False):
@@ -58,30 +54,8 @@ class ConvertWords(Reading, total=False):
     force: bool
 
 
-class CalibrateWords(TypedDict, total=False):
-    """Options of `calibrate`; `square` and `marker` in metres."""
-
-    board: Literal["chessboard", "charuco"]
-    columns: int
-    rows: int
-    square: float
-    marker: float | None
-    dictionary: str
-    legacy: bool
-    model: Literal["auto", "radtan", "radtan8", "equidistant"]
-    mode: Mode
-    format: str | None
-    topics: Sequence[str]
-    side_by_side: bool
-    start: int
-    end: int | None
-    look_at: int
-    views: int
-    force: bool
-
-
 class BatchWords(TypedDict, total=False):
-    """Options of `batch`."""
+    """Options of `batch`; `threads`: cores for each recording, with `ray`."""
 
     overrides: Sequence[str]
     manifest: Name | None
@@ -90,9 +64,13 @@ class BatchWords(TypedDict, total=False):
     mode: Mode
     format: str | None
     jobs: int | None
+    ray: str | None
+    threads: int
     timeout_s: float | None
+    memory_mb: int | None
     retries: int
     report: bool
+    progress: BatchProgress | None
 
 
 class SynthWords(TypedDict, total=False):
@@ -108,12 +86,27 @@ class SynthWords(TypedDict, total=False):
     to: str
     codec: str
     depth: bool
+    effects: str
 
 
-def info(source: Name, *, all_images: bool = False, **reading: Unpack[Reading]) -> Report:
-    """What a recording contains and its problems, as `vo info` finds them; raises `VoError`."""
-    opened = open_leniently(Path(source), **_reading(checked_options(reading, _hints(Reading))))
-    return inspect(opened, None if all_images else DEFAULT_IMAGES)
+def info(
+    source: Name,
+    *,
+    all_images: bool = False,
+    picture: Name | None = None,
+    **reading: Unpack[Reading],
+) -> Report:
+    """What a recording contains and its problems, as `vo info` finds them; raises `VoError`.
+
+    `picture`: file for a sheet of some of its images, which is not written if none can be read.
+    """
+    given = checked_options(reading, _hints(Reading))
+    refuse_to_overwrite((Path(source), given.get("calibration")), (_path(picture),))
+    opened = open_leniently(Path(source), **_reading(given))
+    report = inspect(opened, None if all_images else DEFAULT_IMAGES)
+    if picture is not None and opened.cameras:
+        write_contact_sheet(Path(picture), opened)
+    return report
 
 
 def convert(source: Name, output: Name, **words: Unpack[ConvertWords]) -> Path:
@@ -147,14 +140,16 @@ def synth(
         preset: settings to start from: a preset or a YAML file.
         overrides: such as `["effects.blur=2"]`.
         force: whether an existing recording is replaced.
-        **words: world, motion, camera, mono, seconds, fps, seed, to, codec, depth.
+        **words: world, motion, camera, mono, seconds, fps, seed, to, codec, depth, and effects,
+            such as `effects="blur=2,noise=3"`.
 
     Raises:
         VoError: a setting is unknown or not feasible, or the output cannot be written.
     """
     named = checked_options(words, _hints(SynthWords))
+    effects = effect_settings(named.pop("effects", ""))
     given = [f"{'format' if key == 'to' else key}={value}" for key, value in named.items()]
-    recipe = load_recipe(None if preset is None else str(preset), [*overrides, *given])
+    recipe = load_recipe(None if preset is None else str(preset), [*overrides, *given, *effects])
     make_sequence(output, recipe, force=force)
     return Path(output)
 
@@ -187,41 +182,6 @@ def report(
     return page
 
 
-def calibrate(
-    source: Name, output: Name | None = None, **words: Unpack[CalibrateWords]
-) -> CalibrationResult:
-    """Calibrate cameras from a recording of a board, as `vo calibrate`; `rig` has the cameras.
-
-    Args:
-        source: the recording, without a calibration.
-        output: file to write, if one is wanted.
-        **words: board, columns, rows, square, marker, dictionary, model, and others.
-
-    Raises:
-        VoError: the board is seen too seldom, no model fits, or the file exists without `force`.
-    """
-    given = checked_options(words, _hints(CalibrateWords))
-    if output is not None and Path(output).exists() and not given.get("force"):
-        raise OutputError(f"{output} exists already; give another file, or `force=True`")
-    made = make_board(
-        given.get("board", "chessboard"),
-        given.get("columns", 9),
-        given.get("rows", 6),
-        given.get("square", 0.03),
-        *(given.get("marker"), given.get("dictionary", "4X4_50"), given.get("legacy", False)),
-    )
-    reading = {
-        name: given[name] for name in ("side_by_side", "mode", "format", "topics") if name in given
-    }
-    opened = open_uncalibrated(Path(source), **reading)
-    span = (given.get("start", 0), given.get("end"))
-    chosen = {name: given[name] for name in ("model", "look_at", "views") if name in given}
-    result = calibrate_recorded(opened, made, span, **chosen)
-    if output is not None:
-        write_calibration(Path(output), result.rig, comments(result))
-    return result
-
-
 def batch(
     sources: Name | Sequence[Name],
     output: Name,
@@ -237,12 +197,24 @@ def batch(
     mode = given.get("mode", "auto")
     shared = Job("", "", str(config), overrides, mode, path, given.get("format"))
     planned = plan(list(map(str, names)), shared, given.get("manifest"), given.get("dataset"))
-    limits = Limits(
-        timeout_s=given.get("timeout_s"),
-        retries=given.get("retries", 1),
-        has_report=given.get("report", False),
-    )
-    return run_batch(planned, Path(output), LocalEngine(given.get("jobs"), limits))
+    engine = _engine(given)
+    return run_batch(planned, Path(output), engine, given.get("progress"))
+
+
+def _engine(given: dict[str, Any]) -> Engine:
+    """This machine, or a cluster."""
+    named = {name: given[name] for name in _LIMITS if name in given}
+    limits = Limits(**named, has_report=given.get("report", False))
+    ray, jobs = given.get("ray"), given.get("jobs")
+    if ray is None and "threads" in given:
+        raise ConfigError("`threads` goes with `ray`; on this machine `jobs` decides")
+    if ray is not None and jobs is not None:
+        raise ConfigError("`jobs` is for this machine; Ray decides by cores (`threads`)")
+    if ray is None:
+        return LocalEngine(jobs, limits)
+    from vo.runs.batch.cluster import RayEngine
+
+    return RayEngine(ray, limits)
 
 
 def _reading(given: dict[str, Any]) -> dict[str, Any]:

@@ -22,8 +22,8 @@ _ESTIMATE, _TRUTH = "estimate", "truth"
 
 
 def read_inputs(
-    estimate: Path,
-    reference: Path,
+    estimate: Path | GivenTrajectory,
+    reference: Path | GivenTrajectory,
     *,
     topics: Sequence[str] = (),
     calibration: Path | None = None,
@@ -39,9 +39,11 @@ def read_inputs(
     """
     is_log = {_ESTIMATE: _log_format(estimate) != "", _TRUTH: _log_format(reference) != ""}
     named = _parse(topics, [side for side, has_topics in is_log.items() if has_topics])
-    given: Path | GivenTrajectory = estimate
-    if is_log[_ESTIMATE]:
+    given = estimate
+    if isinstance(estimate, Path) and is_log[_ESTIMATE]:
         given = _poses_of_log(estimate, _ESTIMATE, named.get(_ESTIMATE))
+    if isinstance(reference, GivenTrajectory):
+        return load_inputs(given, reference, all_segments=all_segments)
     if is_log[_TRUTH]:
         truth = truth_of_log(reference, named.get(_TRUTH), calibration)
         return load_inputs(given, truth, all_segments=all_segments)
@@ -129,8 +131,10 @@ def _parse(options: Sequence[str], logs: Sequence[str]) -> dict[str, str]:
     return named
 
 
-def _log_format(path: Path) -> str:
+def _log_format(path: Path | GivenTrajectory) -> str:
     """The format of a log; empty for anything else, such as the folder of a run."""
+    if isinstance(path, GivenTrajectory):
+        return ""
     names = ("trajectory.tum", "trajectory.tum.partial")
     if not path.exists() or any((path / name).is_file() for name in names):
         return ""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
 
+from vo.api.eval_inputs import read_inputs
 from vo.api.run_words import RunWords, split_words
 from vo.api.same_bits import prepare
 from vo.base.config import Config, load_config
@@ -14,10 +15,13 @@ from vo.base.types import Trajectory
 from vo.outputs.evaluation.alignment import AlignMethod
 from vo.outputs.evaluation.evaluation import Evaluation
 from vo.outputs.evaluation.evaluation import evaluate as evaluate_trajectories
-from vo.outputs.evaluation.inputs import GivenTrajectory, load_inputs
+from vo.outputs.evaluation.inputs import GivenTrajectory
+from vo.outputs.evaluation.plots import save_plot
+from vo.outputs.results.output_paths import is_run_folder, refuse_to_overwrite
 from vo.outputs.results.summary import Summary
 from vo.recordings.sources.source import FrameStream
 from vo.runs.run_recording import run as run_recording
+from vo.tools.drawing import check_plot
 
 
 def run(
@@ -63,32 +67,43 @@ def evaluate(
     interpolated: bool = False,
     delta_frames: int = 1,
     delta_m: float | None = None,
+    all_segments: bool = False,
+    topics: Sequence[str] = (),
     calibration: str | Path | None = None,
+    picture: str | Path | None = None,
 ) -> Evaluation:
     """Errors of a trajectory against ground truth, as `vo eval` prints them.
 
     Args:
-        estimate: a trajectory, its file in any supported format, or the folder of a run.
-        reference: a trajectory, its file, or the folder of a sequence with its ground truth.
+        estimate: a trajectory, its file in any supported format, the folder of a run, or a log.
+        reference: a trajectory, its file, a recording with ground truth, or another run.
         align: transform that aligns the estimate: `se3`, `sim3`, `scale`, `none`; `auto` for that
             of the run's mode, else `se3`.
         tolerance_s: largest time between paired poses in seconds.
         interpolated: whether to interpolate the reference at the times of the estimate.
         delta_frames: step of relative errors, in paired poses.
         delta_m: step of relative errors in metres; None for one that suits the path.
+        all_segments: whether all segments of a run are evaluated as one, not only the longest.
+        topics: poses in logs, such as `["estimate=/odom", "truth=/gt"]`.
         calibration: file with the pose of cam0 on the body, for ground truth of the body.
+        picture: plot of path and errors to write.
 
     Raises:
-        SourceError: a file is missing or damaged.
-        CalibrationError: the calibration is missing or damaged.
-        EvaluationError: the trajectories cannot be compared.
+        VoError: a file is missing or damaged, or the trajectories cannot be compared.
     """
-    inputs = load_inputs(
+    plot = None if picture is None else Path(picture)
+    if plot is not None:
+        files = [Path(each) for each in (estimate, reference) if not isinstance(each, Trajectory)]
+        refuse_to_overwrite([each for each in files if not is_run_folder(each)], [plot])
+        check_plot(plot)
+    inputs = read_inputs(
         _given(estimate, "estimate"),
         _given(reference, "reference"),
+        topics=topics,
         calibration=None if calibration is None else Path(calibration),
+        all_segments=all_segments,
     )
-    return evaluate_trajectories(
+    evaluation = evaluate_trajectories(
         inputs.estimate,
         inputs.reference,
         align,
@@ -98,9 +113,12 @@ def evaluate(
         delta_frames=delta_frames,
         delta_m=delta_m,
     )
+    if plot is not None:
+        save_plot(plot, evaluation, inputs.reference, inputs.title)
+    return evaluation
 
 
-def _given(trajectory: str | Path | Trajectory, name: str) -> str | Path | GivenTrajectory:
+def _given(trajectory: str | Path | Trajectory, name: str) -> Path | GivenTrajectory:
     if isinstance(trajectory, Trajectory):
         return GivenTrajectory(trajectory, Path(name))
-    return trajectory
+    return Path(trajectory)

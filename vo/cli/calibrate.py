@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from vo.base.errors import ConfigError
-from vo.cli.calibrate_options import Request
-from vo.cli.calibrate_recording import (
-    check_outputs,
-    open_recording,
-    search_progress,
-)
+from vo.cli.calibrate_options import Request, search_progress
 from vo.cli.echo import echo, echo_json
 from vo.cli.flags import in_flags
 from vo.cli.stopping import interrupts_named
-
-if TYPE_CHECKING:
-    from vo.tools.calibrating.board import Board
-    from vo.tools.calibrating.calibrate import CalibrationResult
 
 
 def calibrate_command(request: Request) -> None:
@@ -49,50 +40,69 @@ def calibrate_command(request: Request) -> None:
 
         calibrate_imu_noise(request)
         return
-    from vo.tools.calibrating.board import make_board
-
-    given, source = request.board, request.source
-    made = make_board(
-        given.board.value,
-        given.columns,
-        given.rows,
-        given.square,
-        given.marker,
-        given.dictionary,
-        given.legacy,
-    )
     from vo.outputs.results.output_paths import refuse_existing
 
-    output = request.output or Path("calibration.yaml")
+    source, output = request.source, request.output or Path("calibration.yaml")
     refuse_existing([request.print_board, None if source is None else output], force=request.force)
     if request.print_board is not None:
-        _print_board(request.print_board, made)
-        if source is None:
-            if request.printing.json_output:
-                echo_json({"board": str(made), "output": str(request.print_board)})
-            return
+        _print_board(request, request.print_board)
     if source is None:
-        raise ConfigError("give a recording of the board, or --print-board FILE to make a board")
-    if request.imu:
+        if request.print_board is None:
+            raise ConfigError(
+                "give a recording of the board, or --print-board FILE to make a board"
+            )
+    elif request.imu:
         from vo.cli.calibrate_imu import calibrate_imu
 
-        calibrate_imu(request, source, made, output)
+        calibrate_imu(request, source, output)
     elif request.calibration is not None:
         raise ConfigError("--calibration gives the cameras for --imu; leave it out, or add --imu")
     else:
-        _calibrate_cameras(request, source, made, output)
+        _calibrate_cameras(request, source, output)
 
 
-def _calibrate_cameras(request: Request, source: Path, board: Board, output: Path) -> None:
+def _print_board(request: Request, path: Path) -> None:
+    from vo.api.calibration import print_board
+
+    made = print_board(path, force=request.force, **board_words(request))
+    echo(f"{path}: {made}; print at 100 % and measure a square", err=True)
+    if request.source is None and request.printing.json_output:
+        echo_json({"board": str(made), "output": str(path)})
+
+
+def board_words(request: Request) -> Any:
+    """The board, in the words of `vo.calibrate`."""
+    return vars(request.board) | {"board": request.board.board.value}
+
+
+def recording_words(request: Request) -> Any:
+    """Board and recording, in the words of `vo.calibrate`."""
+    reading = request.reading.keywords
+    reading.pop("calibration", None)
+    return board_words(request) | {
+        **reading,
+        "side_by_side": request.reading.side_by_side,
+        "start": request.frames.start,
+        "end": request.frames.end,
+        "model": request.model.value,
+        "views": request.views,
+        "progress": lambda total: search_progress(request.printing.errors, total),
+    }
+
+
+def _calibrate_cameras(request: Request, source: Path, output: Path) -> None:
+    from vo.api.calibration import calibrate, check_outputs
     from vo.cli.calibrate_table import print_result
+    from vo.recordings.formats.calibration import write_calibration
     from vo.tools.calibrating.advice import warnings_of
-    from vo.tools.calibrating.calibration_figures import to_dict
+    from vo.tools.calibrating.calibration_figures import comments, to_dict
 
     printing, picture = request.printing, request.picture
-    check_outputs([source], output, picture)
-    with interrupts_named(output):
-        result = _calibrate(request, source, board)
-    _write(result, output, picture)
+    check_outputs(source, [output], picture, force=request.force)
+    with interrupts_named(output), printing.warnings():
+        words = recording_words(request)
+        result = calibrate(source, look_at=request.look_at, picture=picture, **words)
+    write_calibration(output, result.rig, in_flags(comments(result)))
     written = None if picture is None else str(picture)
     printing.show(
         lambda: to_dict(result) | {"output": str(output), "picture": written},
@@ -101,38 +111,3 @@ def _calibrate_cameras(request: Request, source: Path, board: Board, output: Pat
     if printing.quiet and not printing.json_output:
         for line in warnings_of(result):
             echo(f"warning: {line}", err=True)
-
-
-def _print_board(path: Path, board: Board) -> None:
-    from vo.tools.calibrating.printing import save_board
-
-    save_board(path, board)
-    echo(f"{path}: {board}; print at 100 % and measure a square", err=True)
-
-
-def _calibrate(request: Request, path: Path, board: Board) -> CalibrationResult:
-    from vo.tools.calibrating.recorded import calibrate_recorded
-
-    frames = request.frames
-    with request.printing.warnings():
-        source = open_recording(path, request)
-        return calibrate_recorded(
-            source,
-            board,
-            (frames.start, frames.end),
-            model=request.model.value,
-            look_at=request.look_at,
-            views=request.views,
-            progress=lambda total: search_progress(request.printing.errors, total),
-        )
-
-
-def _write(result: CalibrationResult, output: Path, picture: Path | None) -> None:
-    from vo.recordings.formats.calibration import write_calibration
-    from vo.tools.calibrating.calibration_figures import comments
-
-    if picture is not None:
-        from vo.tools.calibrating.plots import save_plot
-
-        save_plot(picture, result)
-    write_calibration(output, result.rig, in_flags(comments(result)))

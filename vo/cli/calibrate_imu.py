@@ -2,49 +2,34 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vo.cli.calibrate_recording import (
-    check_outputs,
-    open_recording,
-    search_progress,
-)
+from vo.cli.calibrate import recording_words
 from vo.cli.echo import echo, echo_json
 from vo.cli.stopping import interrupts_named
 
 if TYPE_CHECKING:
-    from vo.base.types import Rig
     from vo.cli.calibrate_options import Request
-    from vo.recordings.formats.calibration import ImuCalibration
-    from vo.tools.calibrating.board import Board
     from vo.tools.calibrating.imu_camera import ImuOnCamera
 
-KALIBR_NAME = "camchain-imucam.yaml"
-_MAX_FRAMES = 2000
 
-
-def calibrate_imu(request: Request, source: Path, board: Board, output: Path) -> None:
+def calibrate_imu(request: Request, source: Path, output: Path) -> None:
     """Calibrate, write our own and Kalibr's file, and print the result."""
-    from vo.outputs.results.output_paths import refuse_existing, refuse_to_overwrite
-    from vo.recordings.formats.calibration import write_calibration
-    from vo.tools.calibrating.imu_camera import comments, warnings_of
-    from vo.tools.calibrating.kalibr_chain import write_chain
+    from vo.api.calibration import calibrate_imu as calibrate
+    from vo.tools.calibrating.imu_camera import warnings_of
 
-    kalibr, printing = output.with_name(KALIBR_NAME), request.printing
-    refuse_existing([kalibr], force=request.force)
-    refuse_to_overwrite([source], [kalibr])
-    check_outputs([source], output, None)
+    printing, words = request.printing, recording_words(request)
     with interrupts_named(output), printing.warnings():
-        rig, found, imu = _calibrate(request, source, board)
-    write_calibration(output, rig, comments(found), imu)
-    reason = write_chain(kalibr, rig, imu)
+        result = calibrate(
+            source, output, calibration=request.calibration, force=request.force, **words
+        )
+    found, kalibr = result.found, result.kalibr
     warnings = warnings_of(found)
     if printing.json_output:
-        written = None if reason else str(kalibr)
+        written = None if kalibr is None else str(kalibr)
         facts = _facts(found) | {"warnings": warnings, "output": str(output), "kalibr": written}
         echo_json(facts)
         return
@@ -54,45 +39,8 @@ def calibrate_imu(request: Request, source: Path, board: Board, output: Path) ->
         echo(f"warning: {line}", err=True)
     if not printing.quiet:
         echo(f"calibration: {output}")
-        echo(f"not in Kalibr's layout: {reason}" if reason else f"in Kalibr's layout: {kalibr}")
-
-
-def _calibrate(
-    request: Request, path: Path, board: Board
-) -> tuple[Rig, ImuOnCamera, ImuCalibration]:
-    from vo.recordings.formats.calibration import ImuCalibration, read_calibration
-    from vo.recordings.sources.imu import usable_noise
-    from vo.recordings.sources.imu_only import open_imu
-    from vo.tools.calibrating.board_poses import board_poses
-    from vo.tools.calibrating.calibrate import calibrate
-    from vo.tools.calibrating.imu_camera import calibrate_imu_camera
-    from vo.tools.calibrating.views import detect_views
-
-    sensor = open_imu(path, request.reading.format, request.reading.topics)
-    samples = sensor.read()
-    source = open_recording(path, request)
-    calibration, start, end = request.calibration, request.frames.start, request.frames.end
-    size = (source.rig.cam0.width, source.rig.cam0.height)
-    given = None if calibration is None else read_calibration(calibration, size)
-    count = max(min(end or len(source), len(source)) - start, 1)
-    stride = -(-count // _MAX_FRAMES)
-    cameras = 2 if source.rig.is_stereo and given is None else 1
-    frames = source.frames(start, end, stride)
-    with search_progress(request.printing.errors, -(-count // stride)) as progress:
-        detected = detect_views(board, frames, cameras, os.cpu_count() or 1, progress)
-    if given is None:
-        rig = calibrate(board, detected, size, request.model.value, request.views).rig
-        noise = usable_noise(sensor)
-    else:
-        rig, noise = given.rig, given.imu.noise or usable_noise(sensor)
-    found = calibrate_imu_camera(
-        board_poses(board, detected, rig.cam0),
-        samples.stamps_ns,
-        samples.gyro,
-        samples.accel,
-        noise,
-    )
-    return rig, found, ImuCalibration(found.cam0_from_imu, noise, found.time_offset_s)
+        without = f"not in Kalibr's layout: {result.not_for_kalibr}"
+        echo(without if kalibr is None else f"in Kalibr's layout: {kalibr}")
 
 
 def _facts(found: ImuOnCamera) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from vo.base.errors import ConfigError
 from vo.cli.calibrate_options import Request
-from vo.cli.calibrate_recording import check_outputs
 from vo.cli.echo import echo, echo_json
 
 if TYPE_CHECKING:
@@ -16,25 +15,22 @@ if TYPE_CHECKING:
 
 def calibrate_imu_noise(request: Request) -> None:
     """Measure, write Kalibr's imu.yaml and perhaps a plot, and print the noise."""
-    from vo.outputs.results.output_paths import refuse_existing
-    from vo.recordings.sources.imu_only import open_imu
-    from vo.tools.calibrating.imu_noise import measure_noise, warnings_of, write_kalibr
+    from vo.api.calibration import calibrate_imu_noise as measure
+    from vo.tools.calibrating.imu_noise import warnings_of
 
     source, picture, printing = request.source, request.picture, request.printing
     if source is None:
         raise ConfigError("give a recording of the inertial sensor at rest")
     output = request.output or Path("imu.yaml")
-    refuse_existing([output], force=request.force)
-    check_outputs([source], output, picture)
     with printing.warnings():
-        sensor = open_imu(source, request.reading.format, request.reading.topics)
-        samples = sensor.read()
-        result = measure_noise(samples.stamps_ns, samples.gyro, samples.accel)
-    if picture is not None:
-        from vo.tools.calibrating.plots import save_allan_plot
-
-        save_allan_plot(picture, result)
-    write_kalibr(output, result, sensor.name if sensor.name.startswith("/") else "/imu0")
+        result = measure(
+            source,
+            output,
+            picture=picture,
+            format=request.reading.format,
+            topics=request.reading.topics,
+            force=request.force,
+        )
     if printing.json_output:
         written = None if picture is None else str(picture)
         echo_json(_facts(result) | {"output": str(output), "picture": written})

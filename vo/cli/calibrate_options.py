@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+from vo.base.printable import counted
 from vo.cli import options
 from vo.cli.blocks import Only, argument, block, option
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 # Headings of the options in `--help`, besides those in `options`.
 _BOARD, _ESTIMATION, _INERTIAL = "Board", "Estimation", "Inertial sensor"
@@ -119,3 +125,12 @@ class Request:
         "Replace an existing file.", "--force", default=False, panel=options.OUTPUT
     )
     printing: options.Printing
+
+
+@contextmanager
+def search_progress(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
+    """A callback with the numbers of frames searched and of views."""
+    from vo.cli.progress import counting
+
+    with counting(console, "searching for the board", total) as step:
+        yield lambda done, found: step(counted(found, "view"), done)

@@ -146,17 +146,11 @@ def eval_command(
     if picture is not None:
         from vo.outputs.evaluation.plots import save_plot
 
-        save_plot(picture, evaluation, inputs.reference, _title(inputs))
+        save_plot(picture, evaluation, inputs.reference, inputs.title)
     printing.show(
         lambda: _record(evaluation, inputs, picture),
         lambda: print_evaluation(evaluation, inputs, picture),
     )
-
-
-def _title(inputs: Inputs) -> str:
-    """Both files with their folders, as file names alone are ambiguous."""
-    names = ["/".join(p.parts[-2:]) for p in (inputs.estimate_path, inputs.reference_path)]
-    return f"{names[0]}  vs.  {names[1]}"
 
 
 def _record(evaluation: Evaluation, inputs: Inputs, picture: Path | None) -> dict[str, object]:

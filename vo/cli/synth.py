@@ -127,13 +127,13 @@ def synth_command(
         return
     if output is None:
         raise typer.BadParameter("give the folder or file to create", param_hint="OUTPUT")
-    from data_synth.recipe import load_recipe
+    from data_synth.recipe import effect_settings, load_recipe
     from vo.outputs.results.output_paths import refuse_to_overwrite
 
     named = {name: getattr(scene, name) for name in _RECIPE_FIELDS}
     named |= {"format": files.to, "codec": files.codec, "depth": files.depth}
     given = [f"{key}={value}" for key, value in named.items() if value is not None]
-    overrides = [*(files.overrides or ()), *given, *_effect_settings(scene.effects)]
+    overrides = [*(files.overrides or ()), *given, *effect_settings(scene.effects or "")]
     recipe = load_recipe(scene.preset, overrides)
     refuse_to_overwrite([Path(each) for each in (scene.preset, scene.camera) if each], [output])
     with printing.warnings():
@@ -154,25 +154,6 @@ def _list_choices(as_json: bool) -> None:
         echo_json(choices())
     else:
         print_choices(standard_output())
-
-
-def _effect_settings(text: str | None) -> list[str]:
-    """Settings of a list of effects, such as `none,blur=2`."""
-    from vo.base.errors import ConfigError
-
-    parts = [part.strip() for part in (text or "").split(",") if part.strip()]
-    settings = []
-    for number, part in enumerate(parts):
-        if part == "none" and number == 0:
-            from data_synth.recipe import Effects
-
-            names = [name for name in Effects.model_fields if name != "light"]
-            settings += [f"effects.{name}=0" for name in names]
-        elif "=" in part:
-            settings.append(f"effects.{part}")
-        else:
-            raise ConfigError(f"invalid effect '{part}'; use NAME=STRENGTH, such as blur=2")
-    return settings
 
 
 def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> Recording:

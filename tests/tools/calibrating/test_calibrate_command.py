@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from board_images import poses_around, render
 from typer.testing import CliRunner, Result
 
+import vo
 from vo.base.types import Camera
 from vo.cli.app import app
 from vo.recordings.formats.calibration import read_calibration
@@ -18,6 +20,7 @@ from vo.tools.calibrating.board import make_board
 
 CAMERA = Camera(320, 240, 230.0, 229.0, 162.0, 118.0, "radtan", (-0.1, 0.02, 0.0, 0.0))
 BOARD = make_board("charuco", 5, 4, 0.04)
+WORDS: Any = {"board": "charuco", "columns": 5, "rows": 4, "square": 0.04}
 OPTIONS = ["--board", "charuco", "--columns", "5", "--rows", "4", "--square", "0.04"]
 
 
@@ -49,6 +52,10 @@ def test_writes_calibration_and_picture(recording: Path, tmp_path: Path) -> None
     assert camera.fx == figures["cam0"]["parameters"]["fx"]["value"]
     assert camera.fx == pytest.approx(CAMERA.fx, rel=0.02)
     assert cv2.imread(str(picture)).shape[1] == 1200
+    found = vo.calibrate(recording, tmp_path / "b.yaml", picture=tmp_path / "b.png", **WORDS)
+    assert found.rig.cam0.fx == camera.fx
+    assert (tmp_path / "b.yaml").read_bytes() == output.read_bytes()
+    assert (tmp_path / "b.png").read_bytes() == picture.read_bytes()
 
 
 def test_wrong_columns_are_reported(recording: Path) -> None:
@@ -136,6 +143,8 @@ def test_a_printed_board_is_detected(tmp_path: Path) -> None:
 
     path = tmp_path / "board.png"
     assert run("--print-board", path, *OPTIONS).exit_code == 0
+    assert str(vo.print_board(tmp_path / "same.png", **WORDS)) == str(BOARD)
+    assert (tmp_path / "same.png").read_bytes() == path.read_bytes()
     page = cv2.resize(
         cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), None, fx=0.2, fy=0.2, interpolation=3
     )

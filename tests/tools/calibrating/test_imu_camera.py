@@ -13,6 +13,7 @@ from board_images import render
 from board_motion import CAM0_FROM_IMU, MEMS, SILENT, BoardMotion, corners, move
 from typer.testing import CliRunner
 
+import vo
 from data_synth.records import BodyTruth, Recording, Shot
 from data_synth.writers import euroc
 from vo.base.errors import CalibrationError
@@ -185,6 +186,17 @@ def test_the_command_with_calibrated_cameras(swing: Path, tmp_path: Path) -> Non
     assert read_calibration(output).imu.noise == MEMS
     again = CliRunner().invoke(app, ["calibrate", "--imu", str(swing), "-o", str(output)])
     assert again.exit_code == 1 and "exists already" in again.stderr
+    words = {"board": "charuco", "columns": 5, "rows": 4, "square": 0.04}
+    (tmp_path / "py").mkdir()
+    result = vo.calibrate_imu(
+        swing,
+        tmp_path / "py" / "a.yaml",
+        calibration=tmp_path / "cameras.yaml",
+        **words,  # type: ignore[arg-type]
+    )
+    assert result.kalibr == tmp_path / "py" / "camchain-imucam.yaml" and result.found.views == 120
+    for name in ("a.yaml", "camchain-imucam.yaml"):
+        assert (tmp_path / "py" / name).read_bytes() == (tmp_path / name).read_bytes()
 
 
 def test_the_command_calibrates_cameras_too(swing: Path, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import vo
 from vo.base.errors import CalibrationError
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.cli.app import app
@@ -108,6 +109,11 @@ def test_the_command_writes_what_kalibr_and_vo_read(tmp_path: Path) -> None:
     assert noise is not None and noise.gyro_noise == pytest.approx(3e-4, rel=0.05)
     assert found["gyro"]["noise"] == pytest.approx(noise.gyro_noise, rel=1e-5)
     assert found["rest_s"] == pytest.approx(200.0, abs=1.0) and picture.stat().st_size > 10_000
+    same = vo.calibrate_imu_noise(tmp_path / "rest", tmp_path / "same.yaml")
+    assert (tmp_path / "same.yaml").read_bytes() == output.read_bytes()
+    assert same.rest_s == pytest.approx(found["rest_s"], abs=1e-3)
+    with pytest.raises(vo.OutputError, match="exists already"):
+        vo.calibrate_imu_noise(tmp_path / "rest", output)
     again = CliRunner().invoke(app, words)
     assert again.exit_code == 1 and "exists already" in again.stderr
     plain = CliRunner().invoke(app, [*words, "--force"])

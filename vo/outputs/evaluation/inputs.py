@@ -52,6 +52,12 @@ class Inputs:
     # mode of the causal path of the run, which is never converted to metres
     causal_mode: Mode = "auto"
 
+    @property
+    def title(self) -> str:
+        """Both files with their folders, as file names alone are ambiguous."""
+        names = ["/".join(p.parts[-2:]) for p in (self.estimate_path, self.reference_path)]
+        return f"{names[0]}  vs.  {names[1]}"
+
 
 @dataclass(frozen=True, eq=False)
 class GivenTrajectory:
