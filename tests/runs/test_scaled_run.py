@@ -189,8 +189,20 @@ def test_positions_give_the_scale_and_the_place(synthetic_stereo: Path, tmp_path
         assert np.abs(placed.world_from_cam[:, :3, :3] - to_enu @ true).max() < 0.05
     assert summary(tmp_path / "mono")["scales"][0]["source"] == "gps"
     assert summary(tmp_path / "stereo")["scales"] == []
-    run(synthetic_stereo, tmp_path / "mono", config=FAST, mode="mono", end=8)
-    assert not (tmp_path / "mono" / "path.kml").exists()  # of the earlier run
+    given = np.loadtxt(tmp_path / "stereo" / "given_positions.csv", delimiter=",", skiprows=1)
+    path = read_tum(tmp_path / "stereo" / "trajectory.tum")
+    near = np.searchsorted(path.stamps_ns, given[:, 0])
+    assert (near < len(path)).sum() >= len(path) - 1 and not given[:, 1].any()
+    off = given[near < len(path), 2:5] - path.positions[near[near < len(path)]]
+    assert np.sqrt((off**2).sum(axis=1).mean()) < 0.02  # their noise is 0.005 m on each axis
+    np.testing.assert_allclose(
+        enu_from_geodetic(given[:, 5:], ORIGIN)[5] - enu_from_geodetic(given[:, 5:], ORIGIN)[0],
+        expected[5] - expected[0],
+        atol=0.05,
+    )
+    run(synthetic_stereo, tmp_path / "stereo", config=FAST, mode="mono", end=8)
+    for name in ("path.kml", "given_positions.csv"):
+        assert not (tmp_path / "stereo" / name).exists()  # of the earlier run
 
 
 @pytest.mark.parametrize("name", ["kitti07_mono_000-099", "kitti_raw_stereo_000-099"])

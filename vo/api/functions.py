@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Unpack
+from typing import TypedDict, Unpack, get_type_hints
 
 from vo.api.eval_inputs import read_inputs
 from vo.api.run_words import RunWords, split_words
@@ -20,8 +20,31 @@ from vo.outputs.evaluation.plots import save_plot
 from vo.outputs.results.output_paths import is_run_folder, refuse_to_overwrite
 from vo.outputs.results.summary import Summary
 from vo.recordings.sources.source import FrameStream
+from vo.runs.run_options import checked_options
 from vo.runs.run_recording import run as run_recording
 from vo.tools.drawing import check_plot
+
+
+class EvaluateWords(TypedDict, total=False):
+    """Options of `evaluate`.
+
+    `align`: `se3`, `sim3`, `scale`, `none`, or `auto` for that of the run's mode, else `se3`.
+    `tolerance_s`: largest time between paired poses. `interpolated`: whether the reference is
+    interpolated. `delta_frames`, `delta_m`: step of relative errors, in paired poses and metres.
+    `all_segments`: all of a run as one. `topics`: poses in logs, such as `["estimate=/odom"]`.
+    `calibration`: file with the pose of cam0 on the body, for ground truth of the body. `picture`:
+    plot to write.
+    """
+
+    align: AlignMethod
+    tolerance_s: float
+    interpolated: bool
+    delta_frames: int
+    delta_m: float | None
+    all_segments: bool
+    topics: Sequence[str]
+    calibration: str | Path | None
+    picture: str | Path | None
 
 
 def run(
@@ -61,60 +84,37 @@ def run(
 def evaluate(
     estimate: str | Path | Trajectory,
     reference: str | Path | Trajectory,
-    *,
-    align: AlignMethod = "auto",
-    tolerance_s: float = 0.01,
-    interpolated: bool = False,
-    delta_frames: int = 1,
-    delta_m: float | None = None,
-    all_segments: bool = False,
-    topics: Sequence[str] = (),
-    calibration: str | Path | None = None,
-    picture: str | Path | None = None,
+    **words: Unpack[EvaluateWords],
 ) -> Evaluation:
     """Errors of a trajectory against ground truth, as `vo eval` prints them.
 
     Args:
         estimate: a trajectory, its file in any supported format, the folder of a run, or a log.
         reference: a trajectory, its file, a recording with ground truth, or another run.
-        align: transform that aligns the estimate: `se3`, `sim3`, `scale`, `none`; `auto` for that
-            of the run's mode, else `se3`.
-        tolerance_s: largest time between paired poses in seconds.
-        interpolated: whether to interpolate the reference at the times of the estimate.
-        delta_frames: step of relative errors, in paired poses.
-        delta_m: step of relative errors in metres; None for one that suits the path.
-        all_segments: whether all segments of a run are evaluated as one, not only the longest.
-        topics: poses in logs, such as `["estimate=/odom", "truth=/gt"]`.
-        calibration: file with the pose of cam0 on the body, for ground truth of the body.
-        picture: plot of path and errors to write.
+        **words: those of `EvaluateWords`, such as `align="sim3"`, `delta_m=10.0`, `picture=`.
 
     Raises:
         VoError: a file is missing or damaged, or the trajectories cannot be compared.
     """
-    plot = None if picture is None else Path(picture)
+    given = checked_options(words, get_type_hints(EvaluateWords))
+    plot, calibration = (given.pop(name, None) for name in ("picture", "calibration"))
     if plot is not None:
         files = [Path(each) for each in (estimate, reference) if not isinstance(each, Trajectory)]
-        refuse_to_overwrite([each for each in files if not is_run_folder(each)], [plot])
-        check_plot(plot)
+        refuse_to_overwrite([each for each in files if not is_run_folder(each)], [Path(plot)])
+        check_plot(Path(plot))
     inputs = read_inputs(
         _given(estimate, "estimate"),
         _given(reference, "reference"),
-        topics=topics,
+        topics=given.pop("topics", ()),
         calibration=None if calibration is None else Path(calibration),
-        all_segments=all_segments,
+        all_segments=given.pop("all_segments", False),
     )
+    align = given.pop("align", "auto")
     evaluation = evaluate_trajectories(
-        inputs.estimate,
-        inputs.reference,
-        align,
-        inputs.mode,
-        tolerance_s=tolerance_s,
-        interpolated=interpolated,
-        delta_frames=delta_frames,
-        delta_m=delta_m,
+        inputs.estimate, inputs.reference, align, inputs.mode, **given
     )
     if plot is not None:
-        save_plot(plot, evaluation, inputs.reference, inputs.title)
+        save_plot(Path(plot), evaluation, inputs.reference, inputs.title)
     return evaluation
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from vo.base.errors import ConfigError
-from vo.cli.calibrate_options import Request, search_progress
+from vo.cli.calibrate_options import Request, board_words, recording_words
 from vo.cli.echo import echo, echo_json
 from vo.cli.flags import in_flags
 from vo.cli.stopping import interrupts_named
@@ -68,26 +67,6 @@ def _print_board(request: Request, path: Path) -> None:
     echo(f"{path}: {made}; print at 100 % and measure a square", err=True)
     if request.source is None and request.printing.json_output:
         echo_json({"board": str(made), "output": str(path)})
-
-
-def board_words(request: Request) -> Any:
-    """The board, in the words of `vo.calibrate`."""
-    return vars(request.board) | {"board": request.board.board.value}
-
-
-def recording_words(request: Request) -> Any:
-    """Board and recording, in the words of `vo.calibrate`."""
-    reading = request.reading.keywords
-    reading.pop("calibration", None)
-    return board_words(request) | {
-        **reading,
-        "side_by_side": request.reading.side_by_side,
-        "start": request.frames.start,
-        "end": request.frames.end,
-        "model": request.model.value,
-        "views": request.views,
-        "progress": lambda total: search_progress(request.printing.errors, total),
-    }
 
 
 def _calibrate_cameras(request: Request, source: Path, output: Path) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from vo.cli.calibrate import recording_words
+from vo.cli.calibrate_options import recording_words
 from vo.cli.echo import echo, echo_json
 from vo.cli.stopping import interrupts_named
 

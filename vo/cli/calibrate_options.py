@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from vo.base.printable import counted
 from vo.cli import options
@@ -127,8 +127,28 @@ class Request:
     printing: options.Printing
 
 
+def board_words(request: Request) -> Any:
+    """The board, in the words of `vo.calibrate`."""
+    return vars(request.board) | {"board": request.board.board.value}
+
+
+def recording_words(request: Request) -> Any:
+    """Board and recording, in the words of `vo.calibrate`."""
+    reading = request.reading.keywords
+    reading.pop("calibration", None)
+    return board_words(request) | {
+        **reading,
+        "side_by_side": request.reading.side_by_side,
+        "start": request.frames.start,
+        "end": request.frames.end,
+        "model": request.model.value,
+        "views": request.views,
+        "progress": lambda total: _search_progress(request.printing.errors, total),
+    }
+
+
 @contextmanager
-def search_progress(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
+def _search_progress(console: Console, total: int) -> Iterator[Callable[[int, int], None]]:
     """A callback with the numbers of frames searched and of views."""
     from vo.cli.progress import counting
 

@@ -81,6 +81,10 @@ class RunScale:
             from vo.runs.scaling.georeference import write_georeference
 
             notes += write_georeference(folder, store.path(), self._sources.on_globe)
+        if self._sources.moves is not None:
+            from vo.runs.scaling.georeference import write_positions
+
+            write_positions(folder, store.path(), self._sources.moves)
         self.findings = replace(self.findings, notes=(*self.findings.notes, *notes))
 
     def finish(

@@ -258,6 +258,31 @@ def test_a_georeferenced_run_is_shown_on_a_map(own_run: Path, tmp_path: Path) ->
     assert "path.geojson is damaged" in make(own_run, expect=1)
 
 
+def test_a_run_with_gps_is_shown_on_a_map_of_its_positions(own_run: Path, tmp_path: Path) -> None:
+    path = read_tum(own_run / "trajectory.tum")
+    turned = path.positions[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
+    degrees = geodetic_from_enu(turned, np.array([49.0, 8.4, 110.0]))
+    heading = "stamp_ns,segment,tx,ty,tz,latitude,longitude,height"
+    rows = zip(path.stamps_ns, path.positions.tolist(), degrees.tolist(), strict=True)
+    lines = [",".join(map(str, (stamp, 0, *xyz, *globe))) for stamp, xyz, globe in rows]
+    table = own_run / "given_positions.csv"
+    table.write_text("\n".join([heading, *lines, ""]), encoding="utf-8")
+    page = page_of(tmp_path, own_run, "--no-images")
+    (view,) = views_of(page)
+    assert view["isMap"] and view["names"] == ["east", "north", "up"] and view["givenName"] == "GPS"
+    for points in (view["given"], view["runs"][0]["points"]):
+        shown = np.array(points).reshape(-1, 3)
+        assert np.allclose(shown, turned - turned[0], atol=2e-3)
+    assert f"{len(lines)} positions: GPS" in page.source
+    metres = [",".join([*line.split(",")[:5], "", "", ""]) for line in lines]
+    table.write_text("\n".join([heading, *metres, ""]), encoding="utf-8")
+    (view,) = views_of(page_of(tmp_path, own_run, "--no-images"))
+    assert not view["isMap"] and view["givenName"] == "given positions"
+    assert len(view["given"]) == 3 * len(lines)
+    table.write_text(table.read_text(encoding="utf-8").replace(",0,", ",zero,", 1))
+    assert "given_positions.csv is damaged" in make(own_run, expect=1)
+
+
 def segment_records(
     run: Path, spans: list[tuple[int, int]], frames: list[int]
 ) -> list[dict[str, int | float]]:

@@ -180,7 +180,13 @@
         run.cuts.forEach(row => { ground[3 * row] = null; });
         line(ground, css("line"), 1.5);
       });
+      // Where the other sensor was, as a road: the background of the map.
+      pen.lineJoin = "round"; line(data.given, css("raised"), 26); line(data.given, css("line"), 1);
       pen.globalAlpha = 0.45; line(data.truth, css("muted"), 6); pen.globalAlpha = 1;
+      for (let row = 0; row < data.given.length / 3; row++) {
+        pen.beginPath(); pen.arc(...point(data.given, row), 2.2, 0, 7);
+        pen.fillStyle = css("series-4"); pen.fill();
+      }
       data.runs.forEach(run => line(run.before, css("muted"), 1.2, [5, 4]));
       data.runs.forEach(path); data.runs.forEach(signs);
       frame();
@@ -208,6 +214,7 @@
         if (data.runs.length > 1) data.runs.forEach(run => item(
           {borderTop: `3px ${run.colour % 2 ? "dashed" : "solid"} var(--muted)`, height: "0"}, run.name));
       } else data.runs.forEach(run => item({background: `var(--series-${run.colour})`}, data.runs.length > 1 ? run.name : "estimate"));
+      if (data.given.length) item({background: "var(--series-4)", width: "6px", height: "6px", borderRadius: "9px"}, data.givenName);
       if (data.truth.length) item({background: "var(--muted)", opacity: 0.5}, "ground truth");
       item({background: "var(--ink)", width: "10px", height: "10px", borderRadius: "9px"}, "start");
       item({border: "2px solid var(--ink)", width: "10px", height: "10px"}, "end");

@@ -76,6 +76,14 @@ class MappedMarker(NamedTuple):
     error: float  # RMS distance of its corners from their prediction, in standard deviations
 
 
+class GivenPositions(NamedTuple):
+    """`given_positions.csv`: positions of another sensor during the path, such as of GPS."""
+
+    segment: Ints  # (P,) number of the world
+    xyz: Floats  # (P, 3) in this world, metres
+    geodetic: Floats  # (P, 3) latitude, longitude, height; NaN where they are not on the globe
+
+
 @dataclass(frozen=True, eq=False)
 class RunRecord:
     """Results of a run."""
@@ -92,6 +100,7 @@ class RunRecord:
     frames: FrameTable | None  # None if `frames.csv` is missing
     sigmas: Sigmas | None  # None without covariances
     markers: tuple[MappedMarker, ...] = ()  # where they are, empty without any
+    positions: GivenPositions | None = None
 
     @property
     def unit(self) -> str:
@@ -130,6 +139,7 @@ def read_run(folder: Path) -> RunRecord:
         _frames(folder / "frames.csv"),
         _sigmas(folder / "covariance.csv"),
         _markers(folder / "markers.csv"),
+        _positions(folder / "given_positions.csv"),
     )
 
 
@@ -238,6 +248,21 @@ def _markers(path: Path) -> tuple[MappedMarker, ...]:
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
     return found
+
+
+def _positions(path: Path) -> GivenPositions | None:
+    rows = _rows(path)
+    if not rows:
+        return None
+    try:
+        names = ("tx", "ty", "tz", "latitude", "longitude", "height")
+        values = np.array([[float(row[name] or "nan") for name in names] for row in rows])
+        if not np.isfinite(values[:, :3]).all():
+            raise ValueError("a position is no finite number")
+        segment = np.array([int(row["segment"]) for row in rows], dtype=np.int64)
+        return GivenPositions(segment, values[:, :3], values[:, 3:])
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
 
 
 def _sigmas(path: Path) -> Sigmas | None:

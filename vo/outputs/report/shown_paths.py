@@ -91,6 +91,16 @@ class ShownPath:
         known = self.placements.get(segment)
         return np.full_like(points, np.nan) if known is None else known.transform_points(points)
 
+    def given_positions(self) -> Floats:
+        """(P, 3) positions of another sensor, such as of GPS; empty if the run had none."""
+        given = self.entry.run.positions
+        if given is None:
+            return np.empty((0, 3))
+        numbers = np.unique(given.segment).tolist()
+        placed = [self.place(number, given.xyz[given.segment == number]) for number in numbers]
+        found = np.concatenate(placed)
+        return found[np.isfinite(found).all(axis=1)]
+
     def at(self, frames: Sequence[int]) -> Floats:
         """Positions (n, 3) of frames by number, NaN for one without a pose."""
         table = self.entry.run.frames
@@ -129,6 +139,12 @@ class ShownPaths(NamedTuple):
     axes: Axes
     unit: str
     is_map: bool  # axes are east, north and up
+
+    @property
+    def given_positions(self) -> Floats:
+        """(P, 3) positions of another sensor: those of the first run that had some."""
+        found = [path.given_positions() for path in self.paths]
+        return next((each for each in found if len(each)), np.empty((0, 3)))
 
     def names(self) -> tuple[str, str, str]:
         """Names of the world's axes."""
@@ -186,19 +202,36 @@ def _truth_placements(entry: Entry) -> dict[int, Similarity]:
 
 
 def _map_placements(entry: Entry, first: Entry) -> dict[int, Similarity]:
-    """From `path.geojson`, in metres east, north and up of where the first run begins."""
-    lines, origins = _geodetic(entry), _geodetic(first)
-    if not lines or not origins:
+    """In metres east, north and up of where the first run begins."""
+    places, origins = _on_globe(entry), _on_globe(first)
+    if not places or not origins:
         return {}
-    origin = next(iter(origins.values()))[1][0]
-    path, found = entry.run.trajectory, {}
-    for segment, (stamps, geodetic) in lines.items():
-        rows = np.isin(path.stamps_ns, stamps)
-        enu = enu_from_geodetic(geodetic, origin)[np.isin(stamps, path.stamps_ns)]
+    origin, found = next(iter(origins.values()))[1][0], {}
+    for segment, (xyz, geodetic) in places.items():
         try:
-            found[segment] = umeyama(path.positions[rows], enu, with_scale=True)
+            enu = enu_from_geodetic(geodetic, origin)
+            found[segment] = umeyama(xyz, enu, with_scale=True)
         except ValueError:  # too short
             continue
+    return found
+
+
+def _on_globe(entry: Entry) -> dict[int, tuple[Floats, Floats]]:
+    """By segment: points in its world, and their latitude, longitude and height.
+
+    From `path.geojson`, or else from the positions that the run was given.
+    """
+    path, given = entry.run.trajectory, entry.run.positions
+    found = {}
+    for segment, (stamps, geodetic) in _geodetic(entry).items():
+        rows = np.isin(path.stamps_ns, stamps)
+        found[segment] = path.positions[rows], geodetic[np.isin(stamps, path.stamps_ns)]
+    if found or given is None:
+        return found
+    known = np.isfinite(given.geodetic).all(axis=1)
+    for segment in np.unique(given.segment[known]).tolist():
+        rows = known & (given.segment == segment)
+        found[segment] = given.xyz[rows], given.geodetic[rows]
     return found
 
 

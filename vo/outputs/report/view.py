@@ -10,7 +10,7 @@ import numpy as np
 from vo.base.printable import printable
 from vo.base.types import Floats, Trajectory
 from vo.outputs.report.markup import Markup, element, length
-from vo.outputs.report.plots.paths import places_of
+from vo.outputs.report.plots.paths import given_name, places_of
 from vo.outputs.report.plots.style import SERIES
 from vo.outputs.report.shown_paths import ShownPath, ShownPaths
 
@@ -32,6 +32,8 @@ def view(shown: ShownPaths) -> Markup:
         "names": _names(shown),
         "isMap": shown.is_map,
         "truth": _truth(shown.truth, shown),
+        "given": _given(shown),
+        "givenName": given_name(shown),
         "runs": runs,
     }
     colours = [("run", "run")] + [
@@ -84,6 +86,9 @@ def _description(shown: ShownPaths) -> str:
         if np.isfinite(path.error_m).any():
             text += f"; error {length(float(np.nanmax(path.error_m)))} at most"
         parts.append(text)
+    given = len(shown.given_positions)
+    if given:
+        parts.append(f"beside it {given} positions: {given_name(shown)}")
     return f"Camera path in 3D. {'. '.join(parts)}."
 
 
@@ -91,7 +96,7 @@ def _caption(shown: ShownPaths) -> str:
     text = "Drag to turn, two fingers or a click and the wheel to zoom, shift and drag to move; "
     text += "arrow keys and + − work, too. Values are shown under the pointer."
     if shown.is_map:
-        text += " East, north and up, from path.geojson."
+        text += " East, north and up, by the positions that the run was given."
     longest = max(len(path.stamps_ns) for path in shown.paths)
     if longest > _MAX_POINTS:
         text += f" Of {longest} poses, {_MAX_POINTS} are shown: of each group of neighbours the "
@@ -149,6 +154,11 @@ def _truth(truth: Trajectory | None, shown: ShownPaths) -> list[Any]:
         return []
     step = -(-len(truth) // _MAX_POINTS)
     return _points(truth.positions[::step], shown)
+
+
+def _given(shown: ShownPaths) -> list[Any]:
+    positions = shown.given_positions
+    return _points(positions[:: -(-len(positions) // _MAX_POINTS) or 1], shown)
 
 
 def _points(positions: Floats, shown: ShownPaths) -> list[Any]:

@@ -31,10 +31,11 @@ CONFIG = "config.yaml"
 
 _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
 GLOBE = "path.geojson", "path.kml", "path_enu.tum"  # only with --georeference
+POSITIONS = "given_positions.csv"  # only with --gps
 MARKERS = "markers.csv"  # only with --markers
 CAMERA = "estimated_calibration.yaml"  # only without a calibration
 
-RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, *GLOBE, MARKERS, CAMERA)
+RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, *GLOBE, POSITIONS, MARKERS, CAMERA)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 

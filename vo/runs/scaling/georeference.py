@@ -1,4 +1,4 @@
-"""The path on the globe: GeoJSON and KML in WGS 84, and poses east, north and up of an origin."""
+"""The path on the globe, in GeoJSON, KML and east, north and up; and the positions beside it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,13 @@ from vo.base.geometry.geodesy import geodetic_from_enu
 from vo.base.geometry.transforms import make_transform
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats, Trajectory
+from vo.outputs.results.folder import GLOBE, POSITIONS
 from vo.recordings.formats.trajectory import write_tum
 from vo.runs.scaling.position_source import PositionSource
 
-GEOJSON, KML, ENU = "path.geojson", "path.kml", "path_enu.tum"
+GEOJSON, KML, ENU = GLOBE
+_MARGIN_NS = 1_000_000_000  # of positions before and after a path
+_METRE_DIGITS = 4
 _DEGREE_DIGITS = 9  # a tenth of a millimetre
 _HEIGHT_DIGITS = 3
 
@@ -54,6 +57,33 @@ def write_georeference(folder: Path, path: PosedFrames, source: PositionSource) 
         return []
     numbers = ", ".join(map(str, missing))
     return [f"not placed on the globe, and left out of {GEOJSON} and {KML}: segments {numbers}"]
+
+
+def write_positions(folder: Path, path: PosedFrames, source: PositionSource) -> None:
+    """Write the positions during each world of the path, in this world and on the globe.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    lines = ["stamp_ns,segment,tx,ty,tz,latitude,longitude,height"]
+    for alignment in source.alignments:
+        given, times = (
+            alignment.positions,
+            path.trajectory.stamps_ns[path.world == alignment.segment],
+        )
+        inside = (given.stamps_ns >= times[0] - _MARGIN_NS) & (
+            given.stamps_ns <= times[-1] + _MARGIN_NS
+        )
+        xyz = given.xyz[inside]
+        in_world = np.round((xyz - alignment.translation) @ alignment.rotation, _METRE_DIGITS)
+        globe = [",,"] * len(xyz)
+        if given.origin is not None:
+            places = geodetic_from_enu(xyz, given.origin)
+            globe = [f"{a:.{_DEGREE_DIGITS}f},{b:.{_DEGREE_DIGITS}f},{h:.3f}" for a, b, h in places]
+        for stamp, place, known in zip(given.stamps_ns[inside], in_world, globe, strict=True):
+            numbers = ",".join(map(str, place.tolist()))
+            lines.append(f"{stamp},{alignment.segment},{numbers},{known}")
+    _write(folder / POSITIONS, "\n".join(lines) + "\n")
 
 
 def _geojson(path: PosedFrames, lines: list[tuple[int, Floats]], origin: Floats | None) -> str:

@@ -67,6 +67,10 @@ def _draw(axes: Axes, shown: ShownPaths, x: int, y: int, flip: float) -> None:
         positions = shown.truth.positions
         axes.plot(positions[:, x], flip * positions[:, y], color=MUTED, lw=3.2, alpha=0.45)
         axes.lines[-1].set_label("ground truth")
+    given = shown.given_positions
+    if len(given):
+        dots = axes.plot(given[:, x], flip * given[:, y], ".", color=colour(4), ms=4)
+        dots[0].set_label(given_name(shown))
     for path in shown.paths:
         number = path.entry.number
         positions = np.insert(path.positions, path.cuts, np.nan, axis=0)
@@ -96,6 +100,11 @@ def _draw_places(axes: Axes, path: ShownPath, xy: list[int]) -> None:
         axes.plot(*places.T, "D", color=colour(3), ms=5, label="marker")
         for (text, _), place in zip(markers, places, strict=True):
             axes.annotate(text, place, (5, 4), textcoords="offset points")
+
+
+def given_name(shown: ShownPaths) -> str:
+    """What the positions beside the path are."""
+    return "GPS" if shown.is_map else "given positions"
 
 
 def places_of(path: ShownPath) -> tuple[Floats, Floats, list[tuple[str, Floats]]]:
