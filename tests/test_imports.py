@@ -72,7 +72,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.recordings": ({"formats"}, {"sources"}),
     "vo.outputs": ({"evaluation", "recorders", "results", "streaming"}, {"report"}),
     "vo.tools": (
-        {"drawing", "reopening"},
+        {"drawing", "models", "reopening"},
         {"calibrating", "pairs"},
         {"inspection", "laboratory", "maps", "markers", "objects", "rendering"},
     ),

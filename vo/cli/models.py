@@ -82,8 +82,8 @@ def models_command(
 def _do(
     action: Action, model: Model, source: str | None, accept_licence: bool, quiet: bool
 ) -> dict[str, Any]:
-    from vo.engine.learned.fetch import fetch
     from vo.engine.learned.files import path_of, verify
+    from vo.tools.models.fetch import fetch
 
     def say(what: str) -> None:
         if not quiet:

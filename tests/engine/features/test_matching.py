@@ -7,7 +7,12 @@ import pytest
 
 from vo.base.config import MatchingConfig
 from vo.base.types import Descriptors, Floats
-from vo.engine.features.matching import DescriptorMatcher, grid_motion_consistent, make_matcher
+from vo.engine.features.matching import (
+    DescriptorMatcher,
+    distances,
+    grid_motion_consistent,
+    make_matcher,
+)
 from vo.engine.features.opencv import find
 from vo.engine.frontend.contracts import Circles, DescriptorFormat, EpipolarSegments, FeatureSet
 from vo.engine.frontend.matching import HammingMatcher
@@ -49,6 +54,15 @@ def test_partners_are_found(dtype: str, width: int, method: str, cross_check: bo
     again = DescriptorMatcher(config).match(features(query), features(train[order]))
     for one, other in zip(found, again, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("width", [64, 61, 3])
+def test_distances_of_pairs_are_euclidean(width: int) -> None:
+    query, train = descriptors("float32", width)
+    q, t = np.array([0, 5, 5, 299]), np.array([7, 5, 0, 1])
+    expected = np.linalg.norm(query[q].astype(np.float64) - train[t], axis=1)
+    np.testing.assert_allclose(distances(query, train, q, t), expected, rtol=1e-6)
+    assert len(distances(query, train, q[:0], t[:0])) == 0
 
 
 def test_the_ratio_test_drops_what_has_a_double() -> None:

@@ -15,9 +15,9 @@ from vo.base.errors import ModelError
 from vo.base.types import Bytes
 from vo.engine.frontend.contracts import FeatureExtractor
 from vo.engine.learned.catalog import find_model
-from vo.engine.learned.fetch import fetch
 from vo.engine.learned.files import models_folder, require_model, verify
 from vo.engine.learned.inference import Inference, load
+from vo.tools.models.fetch import fetch
 
 SHARED = Path(__file__).resolve().parents[3].parent / "shared"
 EXPORTED = SHARED / "models"

@@ -18,6 +18,7 @@ from vo.base.errors import ConfigError, ModelError
 from vo.base.types import Camera, Rig
 from vo.engine.learned import inference
 from vo.engine.learned.inference import load, networks_used
+from vo.engine.learned.replay import Replay
 from vo.engine.odometry import Odometry
 
 pytest.importorskip("onnx")
@@ -91,6 +92,24 @@ def test_inputs_that_a_network_cannot_compute_are_one_line(doubling: Path, backe
             network.run(inputs, outputs)
         assert "\n" not in str(caught.value)
     np.testing.assert_array_equal(network.run({"x": x + 1}, ["y"])[0], [[2, 2, 2]])
+
+
+def test_runs_with_arrays_that_stay_in_place_give_what_single_runs_give(tmp_path: Path) -> None:
+    """Of more shapes than are kept, and results that later runs leave as they are."""
+    runtime = pytest.importorskip("onnxruntime")
+    from vo.engine.learned.graph import GraphBuilder
+
+    graph = GraphBuilder({})
+    total = graph.node("Add", "x", "x")
+    model = graph.model({"x": (1, "n")}, {"y": (total, (1, "n"))}, "t").SerializeToString()
+    session = runtime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    replay = Replay(session, "cpu")
+    first = np.zeros((1, 3), np.float32)
+    kept = [replay.run({"x": first + n}, ["y"])[0] for n in range(5)]
+    assert [y[0, 0] for y in kept] == [0, 2, 4, 6, 8]
+    for count in [*range(1, 12)] * 3:
+        x = np.arange(count, dtype=np.float32)[None]
+        np.testing.assert_array_equal(replay.run({"x": x[:, ::-1]}, ["y"])[0], 2 * x[:, ::-1])
 
 
 def test_networks_loaded_elsewhere_are_not_counted(doubling: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,17 @@ from learned_cases import BACKENDS, SHARED, exported, fetched, require_backend, 
 from numpy.typing import NDArray
 
 from vo.base.types import Floats32
+from vo.engine.frontend.contracts import FeatureSet
 from vo.engine.learned.inference import load
-from vo.engine.learned.lightglue import lightglue_model, matches_of, normalised
+from vo.engine.learned.lightglue import (
+    LightGlue,
+    lightglue_model,
+    matches_of,
+    normalised,
+    padded_model,
+    partners_of,
+)
+from vo.engine.learned.replay import Replay
 from vo.engine.learned.xfeat import XFeatExtractor
 
 pytest.importorskip("onnx")
@@ -149,6 +158,48 @@ def test_the_graph_computes_what_the_paper_describes(
         np.testing.assert_allclose(found[0], reference.run(given), atol=1e-4)
 
 
+class OnSizesOfACard:
+    """A network as a card runs it, on the CPU."""
+
+    description = "a test"
+    is_rewritten = True
+
+    def __init__(self, model: bytes) -> None:
+        runtime = pytest.importorskip("onnxruntime")
+        session = runtime.InferenceSession(padded_model(model), providers=["CPUExecutionProvider"])
+        self._replay = Replay(session, "cpu")
+        self.sizes: set[int] = set()
+
+    def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Any]:
+        self.sizes |= {value.shape[1] for name, value in inputs.items() if name[:4] == "kpts"}
+        return self._replay.run(inputs, outputs)
+
+
+def test_inputs_continued_to_fixed_sizes_give_the_same_partners(tmp_path: Path) -> None:
+    """As many as there is room for, fewer, and one; each size also with the arrays kept for it."""
+    model = lightglue_model(random_weights(), HEADS)
+    plain = LightGlue(saved(model, tmp_path, "onnxruntime"))
+    card = OnSizesOfACard(model.SerializeToString())
+    padded, noise = LightGlue(card), np.random.default_rng(5)
+    for counts in ((256, 256), (30, 40), (200, 1), (1, 1), (257, 9), (41, 30), (300, 310)):
+        pair = [
+            FeatureSet(
+                noise.uniform(0, 400, (count, 2)),
+                np.zeros(count, np.int32),
+                np.zeros(count, np.float32),
+                noise.standard_normal((count, WIDTH)).astype(np.float32),
+                (640, 480),
+            )
+            for count in counts
+        ]
+        expected, found = plain(*pair), padded(*pair)
+        np.testing.assert_array_equal(found.train, expected.train)
+        np.testing.assert_array_equal(found.query, expected.query)
+        np.testing.assert_allclose(found.log_probability, expected.log_probability, atol=1e-4)
+        assert (len(found.train), len(found.query)) == counts
+    assert card.sizes == {256, 512}
+
+
 def test_older_names_of_weights_are_known() -> None:
     new = lightglue_model(random_weights(), HEADS)
     old = lightglue_model(random_weights(old_names=True), HEADS)
@@ -203,7 +254,7 @@ def test_our_lighterglue_gives_the_matches_of_the_authors(
     differences = []
     for given, pairs, score in expected_pairs:
         (assignment,) = ours.run(given, ["log_assignment"])
-        matches = matches_of(assignment[0], 0.1)
+        matches = matches_of(partners_of(assignment[0]), 0.1)
         np.testing.assert_array_equal(np.stack(matches[:2], axis=1), pairs)
         assert len(pairs) > 50
         differences.append(np.abs(1.0 - matches.score - score))

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from vo.base.errors import ConfigError, ModelError, VoError
 from vo.cli.app import app
 from vo.engine.learned import catalog, files
-from vo.engine.learned.fetch import fetch
 from vo.engine.learned.inference import load
+from vo.tools.models.fetch import fetch
 
 pytest.importorskip("onnx")
 

@@ -10,7 +10,7 @@ import pytest
 from torch_files import _Storage, _Tensor, old_torch_file, torch_archive, torch_file
 
 from vo.base.errors import ModelError
-from vo.engine.learned.torch_archive import read_tensors
+from vo.tools.models.torch_archive import read_tensors
 
 
 def test_tensors_are_read_as_they_were_saved() -> None:

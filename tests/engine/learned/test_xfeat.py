@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from learned_cases import BACKENDS, exported, fetched, require_backend, ten_images, textured
 
 from vo.base.types import Floats32
 from vo.engine.learned.inference import load
-from vo.engine.learned.maps import bicubic, bilinear, to_cells
-from vo.engine.learned.xfeat import XFEAT_OUTPUTS, XFeatExtractor, maxima, peak_offsets
+from vo.engine.learned.maps import bicubic, bilinear, masked, parabola_offsets, to_cells
+from vo.engine.learned.xfeat import XFEAT_OUTPUTS, XFeatExtractor, ranked_peaks
 
 
 def test_cells_of_pixels() -> None:
@@ -37,26 +38,61 @@ def test_bicubic_interpolation() -> None:
     np.testing.assert_array_equal(bicubic(values, np.array([[-5.0, 3.0], [3.0, 20.0]])), 0)
 
 
-def test_maxima_are_those_of_five_by_five_above_the_threshold() -> None:
+CERTAIN = np.ones((8, 8), np.float32)
+
+
+def test_peaks_are_maxima_of_five_by_five_above_the_threshold() -> None:
     heat = np.zeros((20, 20), np.float32)
     heat[5, 5], heat[5, 7], heat[12, 12], heat[0, 19], heat[18, 3] = 0.9, 0.8, 0.3, 0.2, 0.04
-    v, u = maxima(heat)
-    assert sorted(zip(v.tolist(), u.tolist(), strict=True)) == [(0, 19), (5, 5), (12, 12)]
+    xy, score = ranked_peaks(heat, (20, 20), None, CERTAIN, 9)
+    np.testing.assert_array_equal(xy, [[5, 5], [12, 12], [19, 0]])
+    np.testing.assert_allclose(score, [0.9, 0.3, 0.2], rtol=1e-6)
+    xy, _ = ranked_peaks(heat, (20, 12), None, CERTAIN, 9)
+    np.testing.assert_array_equal(xy, [[5, 5]])  # the others lie in the continuation
+    assert len(ranked_peaks(heat, (20, 20), None, CERTAIN, 2)[0]) == 2
+
+
+def test_a_plateau_has_as_many_peaks_as_pixels() -> None:
+    xy, _ = ranked_peaks(np.full((9, 7), 0.5, np.float32), (9, 7), None, CERTAIN, 100)
+    assert len(np.unique(xy, axis=0)) == 63
 
 
 def test_peaks_are_found_between_pixels() -> None:
     """A Gaussian's logarithm is a parabola: its peak is found exactly."""
     v, u = np.mgrid[:30, :40]
     heat = np.exp(-((u - 17.3) ** 2 + (v - 11.8) ** 2) / 4.0).astype(np.float32)
-    offset = peak_offsets(heat, np.array([12]), np.array([17]))
-    np.testing.assert_allclose(offset, [[0.3, -0.2]], atol=1e-3)
-    np.testing.assert_array_equal(peak_offsets(heat, np.array([0]), np.array([0])), [[0, 0]])
+    xy, _ = ranked_peaks(heat, heat.shape, None, CERTAIN, 1)
+    np.testing.assert_allclose(xy, [[17.3, 11.8]], atol=1e-3)
+    edge = np.exp(-(u**2 + v**2) / 4.0).astype(np.float32)
+    np.testing.assert_array_equal(ranked_peaks(edge, edge.shape, None, CERTAIN, 1)[0], [[0, 0]])
+
+
+def test_peaks_are_those_of_plain_numpy() -> None:
+    """Places and scores bit by bit, with and without a mask and a continuation."""
+    noise = np.random.default_rng(2)
+    heat = cv2.GaussianBlur(noise.random((96, 128), dtype=np.float32), (0, 0), 1.2)
+    heat = np.maximum(heat - 0.45, 0).astype(np.float32)
+    reliability = noise.random((12, 16), dtype=np.float32)
+    some = (noise.random((96, 128)) > 0.1).astype(np.uint8)
+    for shape, mask in (((96, 128), None), ((96, 128), some), ((90, 121), None)):
+        inside = masked(heat[: shape[0], : shape[1]], mask)
+        is_peak = (inside == cv2.dilate(inside, np.ones((5, 5)))) & (inside > np.float32(0.05))
+        v, u = np.nonzero(is_peak)
+        logarithm = np.log(np.maximum(inside, 1e-6))
+        xy = np.stack([u, v], axis=1) + parabola_offsets(logarithm, v, u)
+        score = inside[v, u] * bilinear(reliability, to_cells(xy))
+        order = np.lexsort((u, v, -score))[:50]
+        found = ranked_peaks(heat, shape, mask, reliability, 50)
+        assert len(u) > 100
+        np.testing.assert_array_equal(found[0], xy[order])
+        np.testing.assert_array_equal(found[1], score[order])
 
 
 class OnePeak:
     """Stands for the network: one keypoint, and descriptors that name their cell."""
 
     description = "a test"
+    is_rewritten = False
 
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
         _, _, height, width = inputs["image"].shape

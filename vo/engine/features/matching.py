@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import cv2
@@ -125,7 +126,12 @@ def _learned_matcher(config: MatchingConfig, features: FeaturesConfig | None) ->
         wanted = " or ".join(f"features.detector={each}" for each in models)
         given = "features of your own" if features is None else f"'{features.detector}'"
         raise ConfigError(f"matching.method '{name}' needs {wanted}, not {given}")
-    network = load(require_model(find_model(model)), features.backend, features.device)
+    network = load(
+        require_model(find_model(model)),
+        features.backend,
+        features.device,
+        rewrite=None if name == "superglue" else lightglue.padded_model,
+    )
     near = DescriptorMatcher(config.model_copy(update={"method": "mnn"}))
     if name == "superglue":
         matcher = superglue.SuperGlue(network)
@@ -144,12 +150,30 @@ def method_of(config: MatchingConfig, extractor: FeatureExtractor) -> MatchingNa
 
 def distances(query: Descriptors, train: Descriptors, q: Ints, t: Ints) -> Floats:
     """(n,) distances of pairs of rows: Hamming in bits for uint8, else Euclidean."""
-    a: NDArray[Any] = query[q]
-    b: NDArray[Any] = train[t]
     if query.dtype == np.uint8:
-        return np.asarray(np.bitwise_count(a ^ b).sum(axis=1, dtype=np.float64))
-    difference = (a - b).astype(np.float64)
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", difference, difference)))
+        a: NDArray[Any] = query[q]
+        return np.asarray(np.bitwise_count(a ^ train[t]).sum(axis=1, dtype=np.float64))
+    distance = np.empty(len(q))
+    _euclidean(np.ascontiguousarray(query), np.ascontiguousarray(train), q, t, distance)
+    return distance
+
+
+@compiled
+def _euclidean(query, train, q, t, distance):  # type: ignore[no-untyped-def]
+    """Distances of pairs of rows; four sums, so that additions need not wait for each other."""
+    width = query.shape[1]
+    whole = width // 4 * 4
+    for n in range(len(q)):
+        a, b = query[q[n]], train[t[n]]
+        s0 = s1 = s2 = s3 = 0.0
+        for c in range(0, whole, 4):
+            d0, d1 = np.float64(a[c] - b[c]), np.float64(a[c + 1] - b[c + 1])
+            d2, d3 = np.float64(a[c + 2] - b[c + 2]), np.float64(a[c + 3] - b[c + 3])
+            s0, s1, s2, s3 = s0 + d0 * d0, s1 + d1 * d1, s2 + d2 * d2, s3 + d3 * d3
+        for c in range(whole, width):
+            d0 = np.float64(a[c] - b[c])
+            s0 += d0 * d0
+        distance[n] = math.sqrt((s0 + s1) + (s2 + s3))
 
 
 def _check_alike(query: Descriptors, train: Descriptors) -> None:

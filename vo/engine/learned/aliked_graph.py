@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vo.engine.learned.graph import GraphBuilder
-from vo.engine.learned.torch_archive import Tensor
+from vo.engine.learned.graph import GraphBuilder, Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto

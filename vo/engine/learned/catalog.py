@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from vo.base.errors import ModelError
 from vo.engine.learned.aliked_graph import aliked_model
 from vo.engine.learned.disk import disk_model
+from vo.engine.learned.graph import Tensor
 from vo.engine.learned.lightglue import lighterglue_model, lightglue_model
 from vo.engine.learned.superglue import superglue_model
 from vo.engine.learned.superpoint import superpoint_model
-from vo.engine.learned.torch_archive import Tensor
 from vo.engine.learned.xfeat import xfeat_model
 
 if TYPE_CHECKING:

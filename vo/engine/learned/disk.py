@@ -13,7 +13,7 @@ import numpy as np
 
 from vo.base.types import Bytes, Floats32, Ints, Keypoints
 from vo.engine.frontend.contracts import DescriptorFormat
-from vo.engine.learned.graph import GraphBuilder
+from vo.engine.learned.graph import GraphBuilder, Tensor
 from vo.engine.learned.inference import Inference
 from vo.engine.learned.maps import (
     learned_keypoints,
@@ -23,7 +23,6 @@ from vo.engine.learned.maps import (
     parabola_offsets,
     strongest,
 )
-from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vo.base.extras import require
-from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
+Tensor = NDArray[np.generic]
 
 _OPSET = 17
 _IR_VERSION = 8  # of ONNX Runtime 1.14 and OpenCV 5

@@ -6,7 +6,7 @@ import hashlib
 import importlib.util
 import logging
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from vo.base.errors import ConfigError, ModelError
 from vo.base.types import Floats32
+from vo.engine.learned.replay import Replay
 
 Backend = Literal["auto", "opencv", "onnxruntime"]
 Device = Literal["auto", "cpu", "cuda", "tensorrt", "coreml"]
@@ -29,7 +30,8 @@ _PROVIDERS = {
     "cpu": "CPUExecutionProvider",
 }
 # TF32 has 10 bits of mantissa: with XFeat kitti06 has 0.0367 m with it, 0.0297 without.
-_PROVIDER_OPTIONS = {"cuda": {"use_tf32": "0"}}
+_PROVIDER_OPTIONS = {"cuda": {"use_tf32": "0", "cudnn_conv_algo_search": "HEURISTIC"}}
+_REPLAYED = {"cuda": {**_PROVIDER_OPTIONS["cuda"], "enable_cuda_graph": "1"}}
 # TensorRT compiles a network for minutes: only where it is asked for.
 _AUTOMATIC = ("cuda", "coreml", "cpu")
 
@@ -52,7 +54,13 @@ _used: ContextVar[list[Network] | None] = ContextVar("networks_used", default=No
 
 
 class Inference(Protocol):
-    """A loaded model."""
+    """A loaded model.
+
+    Attributes:
+        is_rewritten: whether it is what `load`'s `rewrite` has made of the file.
+    """
+
+    is_rewritten: bool
 
     @property
     def description(self) -> str:
@@ -73,6 +81,7 @@ class OpenCvInference:
 
     description = f"OpenCV {cv2.__version__} on the CPU"
     device = "cpu"
+    is_rewritten = False
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -96,28 +105,39 @@ class OpenCvInference:
 class OnnxRuntimeInference:
     """ONNX Runtime, on the first device that works.
 
+    `is_fixed`, `rewrite`: see `load`.
+
     Raises:
         ConfigError: this device is not there, or not usable.
         ModelError: the file cannot be loaded.
     """
 
-    def __init__(self, path: Path, device: Device = "auto") -> None:
+    def __init__(
+        self,
+        path: Path,
+        device: Device = "auto",
+        is_fixed: bool = False,
+        rewrite: Callable[[bytes], bytes] | None = None,
+    ) -> None:
         import onnxruntime
 
         self._path = path
         available = onnxruntime.get_available_providers()
         wanted = _AUTOMATIC if device == "auto" else (device,)
-        providers = [
-            (_PROVIDERS[name], _PROVIDER_OPTIONS.get(name, {}))
-            for name in wanted
-            if _PROVIDERS[name] in available
-        ]
-        if not providers:
+        names = [name for name in wanted if _PROVIDERS[name] in available]
+        if not names:
             raise ConfigError(_no_device(device, available))
-        options = onnxruntime.SessionOptions()
-        options.log_severity_level = 3
+        content = path.read_bytes()
+        self.is_rewritten = rewrite is not None and names[0] == "cuda" and _has_onnx()
+        if rewrite is not None and self.is_rewritten:
+            content = rewrite(content)
+        self._replay: Replay | None = None
         try:
-            self._session = onnxruntime.InferenceSession(str(path), options, providers=providers)
+            session = None
+            if is_fixed and names[0] == "cuda":
+                session = _replayed_session(content, names)
+                self._replay = Replay(session) if session is not None else None
+            self._session = session or _session(content, names, _PROVIDER_OPTIONS)
         except Exception as error:  # of several kinds, none of them exported
             raise ModelError(
                 f"{path} cannot be loaded by ONNX Runtime: {_reason(error)}"
@@ -136,17 +156,60 @@ class OnnxRuntimeInference:
     def run(self, inputs: Mapping[str, Floats32], outputs: Sequence[str]) -> list[Floats32]:
         """See `Inference.run`."""
         try:
+            if self._replay is not None:
+                return self._replay.run(inputs, outputs)
             results: list[Any] = self._session.run(list(outputs), dict(inputs))
         except Exception as error:  # of several kinds, none of them exported
             raise ModelError(f"{self._path} fails in ONNX Runtime: {_reason(error)}") from error
         return [np.asarray(each) for each in results]
 
 
-def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Inference:
+def _session(content: bytes, devices: Sequence[str], given: Mapping[str, dict[str, str]]) -> Any:
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    providers = [(_PROVIDERS[name], given.get(name, {})) for name in devices]
+    return onnxruntime.InferenceSession(content, options, providers=providers)
+
+
+def _replayed_session(content: bytes, devices: Sequence[str]) -> Any:
+    """A session for `Replay`; None where a part of the network cannot run on the card."""
+    try:
+        session = _session(content, devices, _REPLAYED)
+    except Exception as error:  # of several kinds, none of them exported
+        _log.info("without CUDA graphs: %s", _reason(error))
+        return None
+    return session if session.get_providers()[0] == _PROVIDERS["cuda"] else None
+
+
+def _has_onnx() -> bool:
+    if importlib.util.find_spec("onnx") is not None:
+        return True
+    _log.warning(
+        "without the package onnx a network for matching takes three times as long on the card: "
+        "pip install 'visual-odometry[learned]'"
+    )
+    return False
+
+
+def load(
+    path: Path,
+    backend: Backend = "auto",
+    device: Device = "auto",
+    *,
+    is_fixed: bool = True,
+    rewrite: Callable[[bytes], bytes] | None = None,
+) -> Inference:
     """Load a model.
 
-    `backend`: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
-    every other device.
+    Args:
+        path: of its file.
+        backend: `auto` is OpenCV, which needs no further package, on the CPU, and ONNX Runtime on
+            every other device.
+        device: where to compute.
+        is_fixed: whether the shapes of the inputs decide those of all outputs.
+        rewrite: makes of the file what suits an NVIDIA card.
 
     Raises:
         ConfigError: ONNX Runtime is asked for and not installed, or the device is not there.
@@ -168,7 +231,7 @@ def load(path: Path, backend: Backend = "auto", device: Device = "auto") -> Infe
                 f"features.{setting}, which needs ONNX Runtime, and that is not installed: "
                 "pip install 'visual-odometry[onnxruntime]'"
             )
-        inference = OnnxRuntimeInference(path, device)
+        inference = OnnxRuntimeInference(path, device, is_fixed, rewrite)
     _log.info("%s runs in %s", path.stem, inference.description)
     used = _used.get()
     if used is not None:

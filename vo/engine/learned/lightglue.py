@@ -16,6 +16,7 @@ from vo.base.types import Floats, Floats32, Ints
 from vo.engine.frontend.contracts import FeatureSet, Matcher, Matches, SearchRegion
 from vo.engine.learned.graph import (
     GraphBuilder,
+    Tensor,
     attention,
     from_heads,
     gelu,
@@ -25,15 +26,32 @@ from vo.engine.learned.graph import (
     to_heads,
 )
 from vo.engine.learned.inference import Inference
-from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
 MIN_PROBABILITY = 0.1  # the authors' threshold
 
-Assignment = Callable[[FeatureSet, FeatureSet], Floats | Floats32]
-"""Logarithms (N, M) of the probability that two features, all with positions, belong together.
+_SIZE_STEP = 256  # of the numbers of features that networks on a card are given
+_NEVER = -1e30  # logarithm of the weight of features that are not there: its exponential is 0
+
+
+class Partners(NamedTuple):
+    """Most probable partners of the features of two images, N and M.
+
+    Attributes:
+        train: (N,) row of the second image for each feature of the first.
+        log_probability: (N,) logarithm of the probability that they belong together.
+        query: (M,) row of the first image for each feature of the second.
+    """
+
+    train: Ints
+    log_probability: Floats | Floats32
+    query: Ints
+
+
+Assignment = Callable[[FeatureSet, FeatureSet], Partners]
+"""Partners of features that all have positions, and of which there are some.
 
 Raises ValueError where it is not given what it needs.
 """
@@ -44,33 +62,48 @@ def normalised(xy: Floats | Floats32, size: tuple[int, int]) -> Floats32:
     return ((xy - np.divide(size, 2.0)) / (max(size) / 2.0)).astype(np.float32)
 
 
-def matches_of(log_assignment: Floats | Floats32, min_probability: float) -> Matches:
-    """Pairs that are the most probable ones of both features; scores are 1 - probability.
+def partners_of(log_assignment: Floats | Floats32) -> Partners:
+    """Partners by the logarithms (N, M) of the probability of each pair."""
+    train = log_assignment.argmax(axis=1)
+    highest = log_assignment[np.arange(len(train)), train]
+    return Partners(train, highest, log_assignment.argmax(axis=0))
+
+
+def matches_of(partners: Partners, min_probability: float) -> Matches:
+    """Pairs that are each other's partners; scores are 1 - probability.
 
     Args:
-        log_assignment: (N, M) logarithms of the probability of each pair.
+        partners: of the features of two images.
         min_probability: above which a pair is a match.
     """
-    if 0 in log_assignment.shape:
-        return Matches(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0))
-    train, query = log_assignment.argmax(axis=1), log_assignment.argmax(axis=0)
-    every = np.arange(len(train))
-    probability = np.exp(log_assignment[every, train].astype(np.float64))
-    good = np.flatnonzero((query[train] == every) & (probability > min_probability))
+    train = partners.train
+    probability = np.exp(partners.log_probability.astype(np.float64))
+    is_mutual = partners.query[train] == np.arange(len(train))
+    good = np.flatnonzero(is_mutual & (probability > min_probability))
     return Matches(good, train[good], 1.0 - probability[good])
 
 
 class LightGlue:
-    """The assignment of LightGlue and LighterGlue, see `Assignment`."""
+    """The assignment of LightGlue and LighterGlue, see `Assignment`.
+
+    Args:
+        network: the model, or what `padded_model` makes of it.
+    """
 
     def __init__(self, network: Inference) -> None:
         self._network = network
 
-    def __call__(self, query: FeatureSet, train: FeatureSet) -> Floats32:
+    def __call__(self, query: FeatureSet, train: FeatureSet) -> Partners:
         """See `Assignment`."""
+        if self._network.is_rewritten:
+            size = -max(len(query), len(train)) // _SIZE_STEP * -_SIZE_STEP
+            given = _padded_inputs(query, 0, size) | _padded_inputs(train, 1, size)
+            row, highest, back = self._network.run(given, ["train", "highest", "query"])
+            n, m = len(query), len(train)
+            return Partners(row[0, :n].astype(int), highest[0, :n], back[0, :m].astype(int))
         given = _inputs(query, 0) | _inputs(train, 1)
         (log_assignment,) = self._network.run(given, ["log_assignment"])
-        return np.asarray(log_assignment[0])
+        return partners_of(log_assignment[0])
 
 
 class AssignmentMatcher:
@@ -125,6 +158,58 @@ def _inputs(features: FeatureSet, side: int) -> dict[str, Floats32]:
         f"kpts{side}": normalised(features.xy, features.size)[None],
         f"desc{side}": np.ascontiguousarray(features.descriptor, np.float32)[None],
     }
+
+
+def _padded_inputs(features: FeatureSet, side: int, size: int) -> dict[str, Floats32]:
+    """Inputs of `padded_model`'s network, with zeros up to a number of features."""
+    missing = ((0, 0), (0, size - len(features)), (0, 0))
+    padded = {name: np.pad(value, missing) for name, value in _inputs(features, side).items()}
+    absent = np.where(np.arange(size) < len(features), 0.0, _NEVER).astype(np.float32)
+    return padded | {f"absent{side}": absent[None, None]}
+
+
+def padded_model(content: bytes) -> bytes:
+    """A model of this module for inputs that are continued to sizes which do not change.
+
+    Further inputs `absent0` and `absent1` (1, 1, N or M) are added to the logarithms of all weights
+    of features: 0, and `_NEVER` for those that are not there. Outputs, instead of the assignment,
+    are `train`, `highest` and `query`, see `Partners`, so that little is read back from a card.
+    """
+    import onnx
+    from onnx import TensorProto, helper
+
+    model = onnx.load_model_from_string(content)
+    nodes, asked = [], ("absent0", "absent1", "absent1", "absent0")
+    attentions = 0
+    for node in model.graph.node:
+        if node.op_type in ("Softmax", "LogSoftmax"):
+            absent = asked[attentions % len(asked)]  # self-attention of both, then cross-attention
+            attentions += node.op_type == "Softmax"
+            if node.op_type == "LogSoftmax":
+                axis = node.attribute[0].i
+                absent = "absent1" if axis == 2 else "absent0_by_row"
+            total = f"{node.input[0]}_{absent}"
+            nodes.append(helper.make_node("Add", [node.input[0], absent], [total]))
+            node.input[0] = total
+        nodes.append(node)
+    by_row = helper.make_node("Transpose", ["absent0"], ["absent0_by_row"], perm=[0, 2, 1])
+    found = [
+        helper.make_node("ArgMax", ["log_assignment"], ["train"], axis=2, keepdims=0),
+        helper.make_node("ReduceMax", ["log_assignment"], ["highest"], axes=[2], keepdims=0),
+        helper.make_node("ArgMax", ["log_assignment"], ["query"], axis=1, keepdims=0),
+    ]
+    del model.graph.node[:], model.graph.output[:]
+    model.graph.node.extend([by_row, *nodes, *found])
+    for name, kind, size in (
+        ("train", TensorProto.INT64, "n"),
+        ("highest", TensorProto.FLOAT, "n"),
+        ("query", TensorProto.INT64, "m"),
+    ):
+        model.graph.output.append(helper.make_tensor_value_info(name, kind, (1, size)))
+    for side, size in enumerate("nm"):
+        name, shape = f"absent{side}", (1, 1, size)
+        model.graph.input.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+    return bytes(model.SerializeToString())
 
 
 class _Encoding(NamedTuple):

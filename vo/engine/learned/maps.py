@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import math
 
 import cv2
 import numpy as np
@@ -29,7 +28,9 @@ def padded(image: Bytes, multiple: int) -> Bytes:
 
 def network_input(image: Bytes, multiple: int) -> Floats32:
     """(1, 1, H, W) between 0 and 1 of an image, continued to multiples of a size."""
-    return padded(image, multiple).astype(np.float32)[None, None] / np.float32(255.0)
+    given = padded(image, multiple).astype(np.float32)[None, None]
+    given /= np.float32(255.0)
+    return given
 
 
 def masked(values: Floats32, mask: Bytes | None) -> Floats32:
@@ -68,15 +69,10 @@ def strongest(peaks: Floats32, count: int) -> tuple[Ints, Ints]:
     return v[order], u[order]
 
 
-def parabola_offsets(
-    values: Floats | Floats32,
-    v: Ints,
-    u: Ints,
-    of: Callable[[Any], Any] = lambda near: near,
-) -> Floats:
+def parabola_offsets(values: Floats | Floats32, v: Ints, u: Ints) -> Floats:
     """(N, 2) x, y from maxima to the vertices of parabolas through them and their neighbours.
 
-    At most half a pixel, 0 at the border. `of`: function of the values that is like a parabola.
+    At most half a pixel, 0 at the border.
     """
     height, width = values.shape
     offsets = np.zeros((len(u), 2))
@@ -84,7 +80,7 @@ def parabola_offsets(
         inside = np.flatnonzero((at > 0) & (at < limit - 1))
         y, x = v[inside], u[inside]
         before, peak, after = (
-            of(values[y + s * dv, x + s * du]).astype(np.float64) for s in (-1, 0, 1)
+            values[y + s * dv, x + s * du].astype(np.float64) for s in (-1, 0, 1)
         )
         curvature = before - 2.0 * peak + after
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -142,31 +138,35 @@ def bicubic(values: Floats32, at: Floats) -> Floats:
 
     Source: Keys, "Cubic convolution interpolation for digital image processing", 1981.
     """
-    first = np.floor(at).astype(np.int64) - 1
-    weights = _kernel(at[:, None, :] - (first[:, None, :] + np.arange(4)[None, :, None]))
     result = np.zeros((len(at), len(values)))
-    # All maps of a pixel side by side, so that they are read in one piece.
-    _add_weighted(np.ascontiguousarray(values.transpose(1, 2, 0)), first, weights, result)
+    if len(at) > 0:
+        # All maps of a pixel side by side, so that they are read in one piece.
+        by_pixel = cv2.transpose(values.reshape(len(values), -1)).reshape(*values.shape[1:], -1)
+        _add_weighted(by_pixel, at, result)
     return result
 
 
 @compiled
-def _add_weighted(values, first, weights, result):  # type: ignore[no-untyped-def]
-    """Add the 4 x 4 values of maps (H, W, C) from `first` (N, 2) by weights (N, 4, 2)."""
+def _add_weighted(values, at, result):  # type: ignore[no-untyped-def]
+    """Add the 4 x 4 values of maps (H, W, C) around positions (N, 2) by the kernel's weights."""
     height, width, channels = values.shape
-    for n in range(len(first)):
+    for n in range(len(at)):
+        left, top = math.floor(at[n, 0]) - 1, math.floor(at[n, 1]) - 1
         for j in range(4):
-            v = first[n, 1] + j
+            v = top + j
             for i in range(4):
-                u = first[n, 0] + i
+                u = left + i
                 if 0 <= u < width and 0 <= v < height:
-                    weight = weights[n, i, 0] * weights[n, j, 1]
+                    weight = _kernel(at[n, 0] - u) * _kernel(at[n, 1] - v)
                     for c in range(channels):
                         result[n, c] += weight * values[v, u, c]
 
 
-def _kernel(distance: Floats) -> Floats:
-    d, a = np.abs(distance), _CUBIC
-    near = (a + 2) * d**3 - (a + 3) * d**2 + 1
-    far = a * d**3 - 5 * a * d**2 + 8 * a * d - 4 * a
-    return np.asarray(np.where(d <= 1, near, np.where(d < 2, far, 0.0)))
+@compiled
+def _kernel(distance):  # type: ignore[no-untyped-def]
+    d, a = abs(distance), _CUBIC
+    if d <= 1:
+        return (a + 2) * (d * d * d) - (a + 3) * (d * d) + 1
+    if d < 2:
+        return a * (d * d * d) - 5 * a * (d * d) + 8 * a * d - 4 * a
+    return 0.0

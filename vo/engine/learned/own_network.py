@@ -140,4 +140,4 @@ def load_own_network(path: Path, backend: Backend, device: Device, count: int) -
     if path.stat().st_size > _MAX_BYTES:
         raise ModelError(f"{path} has {path.stat().st_size} bytes; at most {_MAX_BYTES}")
     channels = _declared_channels(path)
-    return OwnExtractor(load(path, backend, device), str(path), channels, count)
+    return OwnExtractor(load(path, backend, device, is_fixed=False), str(path), channels, count)

@@ -12,9 +12,9 @@ import numpy as np
 
 from vo.base.types import Floats, Floats32
 from vo.engine.frontend.contracts import FeatureSet
-from vo.engine.learned.graph import GraphBuilder, attention, from_heads, linear, to_heads
+from vo.engine.learned.graph import GraphBuilder, Tensor, attention, from_heads, linear, to_heads
 from vo.engine.learned.inference import Inference
-from vo.engine.learned.torch_archive import Tensor
+from vo.engine.learned.lightglue import Partners, partners_of
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -32,11 +32,12 @@ class SuperGlue:
     def __init__(self, network: Inference) -> None:
         self._network = network
 
-    def __call__(self, query: FeatureSet, train: FeatureSet) -> Floats:
+    def __call__(self, query: FeatureSet, train: FeatureSet) -> Partners:
         """See `vo.engine.learned.lightglue.Assignment`."""
         given = _inputs(query, train, 0) | _inputs(train, query, 1)
         similarity, bin_score = self._network.run(given, ["similarity", "bin_score"])
-        return log_assignment(similarity[0], float(bin_score.reshape(-1)[0]))
+        found = log_assignment(similarity[0], float(bin_score.reshape(-1)[0]))
+        return partners_of(found)
 
 
 def _inputs(features: FeatureSet, other: FeatureSet, side: int) -> dict[str, Floats32]:

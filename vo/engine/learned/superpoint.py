@@ -14,7 +14,7 @@ import numpy as np
 
 from vo.base.types import Bytes, Floats, Floats32, Keypoints
 from vo.engine.frontend.contracts import DescriptorFormat
-from vo.engine.learned.graph import GraphBuilder
+from vo.engine.learned.graph import GraphBuilder, Tensor
 from vo.engine.learned.inference import Inference
 from vo.engine.learned.maps import (
     bilinear,
@@ -26,7 +26,6 @@ from vo.engine.learned.maps import (
     without_border,
     without_neighbours,
 )
-from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto

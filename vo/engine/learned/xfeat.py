@@ -8,32 +8,29 @@ from __future__ import annotations
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
-from vo.base.types import Bytes, Floats, Floats32, Ints, Keypoints
+from vo.base.compiling.function import compiled
+from vo.base.types import Bytes, Floats, Floats32, Keypoints
 from vo.engine.frontend.contracts import DescriptorFormat
-from vo.engine.learned.graph import GraphBuilder
+from vo.engine.learned.graph import GraphBuilder, Tensor
 from vo.engine.learned.inference import Inference
 from vo.engine.learned.maps import (
     MIN_SIDE_OF_32,
     bicubic,
-    bilinear,
     learned_keypoints,
     masked,
     network_input,
     no_keypoints,
-    parabola_offsets,
     to_cells,
 )
-from vo.engine.learned.torch_archive import Tensor
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
 _MULTIPLE = 32  # of both sides of the network's input
-_MIN_HEAT = 0.05
-_SUPPRESSION_PX = 5  # side of the square in which a keypoint is the maximum
+_MIN_HEAT = float(np.float32(0.05))
+_RADIUS_PX = 2  # of the square in which a keypoint is the maximum
 _WIDTH = 64
 
 
@@ -65,35 +62,111 @@ class XFeatExtractor:
             return no_keypoints(_WIDTH), unknown
         given = network_input(image, _MULTIPLE)
         features, heat, reliability = self._inference.run({"image": given}, XFEAT_OUTPUTS)
-        height, width = image.shape
-        # Before the search for maxima, so that results with masks keep their bits; other networks'
-        # maxima are masked after it, so that no slope at the edge of a mask counts as one.
-        heat = masked(heat[0, 0, :height, :width], mask)
-        v, u = maxima(heat)
-        found = np.stack([u, v], axis=1) + peak_offsets(heat, v, u)
-        score = heat[v, u] * bilinear(reliability[0, 0], to_cells(found))
-        order = np.lexsort((u, v, -score))[: self._count]
-        found, score = found[order], score[order]
+        found, score = ranked_peaks(heat[0, 0], image.shape, mask, reliability[0, 0], self._count)
         return (
             learned_keypoints(found, score, bicubic(features[0], to_cells(found))),
             learned_keypoints(xy, np.zeros(len(xy)), bicubic(features[0], to_cells(xy))),
         )
 
 
-def maxima(heat: Floats32) -> tuple[Ints, Ints]:
-    """Rows and columns of the pixels that are the maximum of the 5 x 5 around them."""
-    kernel = np.ones((_SUPPRESSION_PX, _SUPPRESSION_PX), np.uint8)
-    highest = cv2.dilate(heat, kernel)
-    v, u = np.nonzero((heat == highest) & (heat > _MIN_HEAT))
-    return v, u
+def ranked_peaks(
+    heat: Floats32,
+    shape: tuple[int, ...],
+    mask: Bytes | None,
+    reliability: Floats32,
+    count: int,
+) -> tuple[Floats, Floats]:
+    """Positions (N, 2) x, y and scores of the strongest peaks of a heat map, strongest first.
 
+    A peak is the maximum of the 5 x 5 pixels around it, and placed where parabolas through the
+    logarithms of it and its neighbours, whose peaks are nearly parabolas, have their vertices.
 
-def peak_offsets(heat: Floats32, v: Ints, u: Ints) -> Floats:
-    """(N, 2) x, y from maxima to the vertices of parabolas through them and their neighbours.
-
-    Of the logarithm, whose peaks are nearly parabolas; at most half a pixel, 0 at the border.
+    Args:
+        heat: (H, W) probabilities of a keypoint.
+        shape: the part of it that is the image; the rest is its continuation.
+        mask: 0 where there are none, of this shape.
+        reliability: (H/8, W/8) factors of the scores.
+        count: of peaks at most.
     """
-    return parabola_offsets(heat, v, u, lambda near: np.log(np.maximum(near, 1e-6)))
+    height, width = shape
+    # Before the search for maxima, so that results with masks keep their bits; other networks'
+    # maxima are masked after it, so that no slope at the edge of a mask counts as one.
+    if mask is not None:
+        heat = masked(heat[:height, :width], mask)
+    room, found = -1, height * width // (_RADIUS_PX + 1) ** 2  # more only with equal neighbours
+    while found > room:
+        room = found
+        at, near = np.empty((room, 2), np.int32), np.empty((room, 5), np.float32)
+        found = _find_peaks(heat, height, width, at, near)
+    logarithms = np.log(np.maximum(near[:found], 1e-6))
+    xy, score = np.empty((found, 2)), np.empty(found)
+    _place_peaks(at, near, logarithms, reliability, xy, score)
+    weakness = -score
+    rows = np.arange(found)
+    if found > count:
+        rows = np.flatnonzero(weakness <= np.partition(weakness, count - 1)[count - 1])
+    # Of equal ones by row and column.
+    rows = rows[np.argsort(weakness[rows], kind="stable")][:count]
+    return xy[rows], score[rows]
+
+
+@compiled
+def _find_peaks(heat, height, width, at, near):  # type: ignore[no-untyped-def]
+    """Columns and rows of maxima and, for each, it and what is left, right, above and below.
+
+    At an edge of the image the neighbours are 0. The number of all, though the first ones alone are
+    written where there is no room for more.
+    """
+    found = 0
+    for v in range(height):
+        for u in range(width):
+            peak = heat[v, u]
+            if peak <= _MIN_HEAT:
+                continue
+            is_highest = True
+            for j in range(max(v - _RADIUS_PX, 0), min(v + _RADIUS_PX + 1, height)):
+                for i in range(max(u - _RADIUS_PX, 0), min(u + _RADIUS_PX + 1, width)):
+                    if heat[j, i] > peak:
+                        is_highest = False
+                        break
+                if not is_highest:
+                    break
+            if not is_highest:
+                continue
+            if found < len(at):
+                at[found, 0], at[found, 1] = u, v
+                near[found, :] = 0.0
+                near[found, 0] = peak
+                if 0 < u < width - 1:
+                    near[found, 1], near[found, 2] = heat[v, u - 1], heat[v, u + 1]
+                if 0 < v < height - 1:
+                    near[found, 3], near[found, 4] = heat[v - 1, u], heat[v + 1, u]
+            found += 1
+    return found
+
+
+@compiled
+def _place_peaks(at, near, logarithms, reliability, xy, score):  # type: ignore[no-untyped-def]
+    """Places of peaks between pixels, at most half of one from them, and their scores."""
+    height, width = reliability.shape
+    for n in range(len(logarithms)):
+        peak = np.float64(logarithms[n, 0])
+        for axis in range(2):
+            before = np.float64(logarithms[n, 2 * axis + 1])
+            after = np.float64(logarithms[n, 2 * axis + 2])
+            curvature = before - 2.0 * peak + after
+            offset = 0.0
+            if curvature < -1e-9:
+                offset = min(max(0.5 * (before - after) / curvature, -0.5), 0.5)
+            xy[n, axis] = at[n, axis] + offset
+        x = min(max((xy[n, 0] + 0.5) / _CELL - 0.5, 0.0), width - 1.0)
+        y = min(max((xy[n, 1] + 0.5) / _CELL - 0.5, 0.0), height - 1.0)
+        left, top = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+        a, b = x - left, y - top
+        upper = reliability[top, left] * (1 - a) + reliability[top, right] * a
+        lower = reliability[bottom, left] * (1 - a) + reliability[bottom, right] * a
+        score[n] = near[n, 0] * (upper * (1 - b) + lower * b)
 
 
 XFEAT_OUTPUTS = ("feats", "heat", "rel")

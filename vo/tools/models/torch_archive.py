@@ -15,11 +15,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vo.base.errors import ModelError
-
-Tensor = NDArray[np.generic]
+from vo.engine.learned.graph import Tensor
 
 _TYPES = {
     "FloatStorage": "<f4",

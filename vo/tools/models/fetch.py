@@ -15,7 +15,7 @@ from vo.base.errors import ModelError
 from vo.base.extras import require
 from vo.engine.learned.catalog import ANY, Model, Wheel
 from vo.engine.learned.files import sha256_of, write
-from vo.engine.learned.torch_archive import OLD_FORMAT, read_tensors
+from vo.tools.models.torch_archive import OLD_FORMAT, read_tensors
 
 _MAX_BYTES = 2**30
 _DOWNLOAD_S = 900
