@@ -87,3 +87,13 @@ def test_edges_that_drown_in_noise_are_a_fault(blur_px: float, is_faint: bool) -
     for _ in range(10):
         correction.update((scene(contrast=1.0),))
     assert correction.faults == ()
+
+
+def test_a_clear_right_image_stays_as_it_is_beside_a_fogged_left_one() -> None:
+    correction = ContrastCorrection()
+    fogged, clear = scene(contrast=0.1), scene(contrast=1.0)
+    assert spread(clear) > 64.0
+    left, right = correction.update((fogged, clear))
+    assert left is not fogged and right is clear
+    both = correction.update((fogged, scene(contrast=0.15)))
+    assert both[1] is not None and spread(both[1]) > 64.0

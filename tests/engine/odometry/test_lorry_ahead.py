@@ -1,4 +1,4 @@
-"""A lorry that is followed closely: its landmarks are near, and it stands still in the image."""
+"""Large things that move: a lorry that is followed closely, somebody who walks past."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from recorded_walk import track
 
 from vo.base.config import Config
-from vo.base.types import Bytes, Frame, Rig
+from vo.base.types import Bytes, Frame, Rig, State
 from vo.recordings.sources.registry import open_source
 
 BASELINE_M = 0.537  # of KITTI
@@ -72,3 +72,29 @@ def test_the_road_decides_the_first_step(shared_data: Path, mean_m: float) -> No
     assert truth is not None
     true = np.linalg.norm(np.diff(truth.positions[:8], axis=0), axis=1)
     np.testing.assert_allclose(steps, true, rtol=0.05)
+
+
+def test_somebody_who_walks_past_a_camera_at_rest_does_not_take_it_along(shared_data: Path) -> None:
+    """Over 52 % of the image: the path was 3.7 m long."""
+    recording = open_source(shared_data / "rendered_hall_stereo")
+    (standing,) = recording.frames(0, 1)
+    rng = np.random.default_rng(2)
+    coat = cv2.resize(rng.normal(110.0, 35.0, (50, 42)), (330, 400), interpolation=cv2.INTER_CUBIC)
+    frames = []
+    for number in range(70):
+        images = []
+        left_px = -400 + round(1110 * min(max(number - 10, 0) / 50, 1.0))
+        for camera, image in enumerate(standing.images):
+            assert image is not None
+            seen = image.astype(float)
+            first = left_px - 30 * camera
+            begin, end = np.clip([first, first + 330], 0, seen.shape[1])
+            seen[:, begin:end] = coat[:, begin - first : end - first]
+            noise = rng.normal(0.0, 1.5, seen.shape)
+            images.append(np.asarray((seen + noise).clip(0, 255), np.uint8))
+        stamp_ns = standing.stamp_ns + number * 50_000_000
+        frames.append(Frame(number, stamp_ns, tuple(images)))
+    run = track(recording.rig, frames, Config(threads=1))
+    assert all(each.state is State.TRACKING for each in run.estimates)
+    away_m = np.linalg.norm(run.path[:, :3, 3], axis=1)
+    assert away_m.max() < 0.01

@@ -21,18 +21,20 @@ MOST = CONFIG.tracking.max_landmarks
 POLICY = KeyframePolicy(CONFIG.keyframes, MOST)
 
 
-def _becomes_keyframe(observed_by_last: int, tracked: int) -> bool:
-    """Of a camera that stands still."""
+def _becomes_keyframe(observed_by_last: int, tracked: int, turned_px: float = 0.0) -> bool:
+    """Of a camera that stands still, or turns."""
     last = SimpleNamespace(
         landmark=np.arange(observed_by_last),
+        image_xy=np.zeros((observed_by_last, 2)),
         world_from_cam=np.eye(4),
         frame=SimpleNamespace(stamp_ns=1_000_000_000),
     )
     xyz = np.tile([0.0, 0.0, 5.0], (observed_by_last, 1))
     local_map: Any = SimpleNamespace(keyframes=[last], xyz=xyz)
-    observed = SimpleNamespace(rows=np.arange(tracked))
+    rows, inlier = np.arange(tracked), np.ones(tracked, dtype=bool)
+    observed = SimpleNamespace(rows=rows, image_xy=np.full((tracked, 2), turned_px))
     found: Any = SimpleNamespace(
-        world_from_cam=np.eye(4), observed=observed, inlier=np.ones(tracked, dtype=bool)
+        world_from_cam=np.eye(4), observed=observed, inlier=inlier, ids=rows
     )
     frame: Any = SimpleNamespace(stamp_ns=1_050_000_000)
     return POLICY.needs_keyframe(POLICY.change_since_last(local_map, frame, found))
@@ -45,7 +47,11 @@ def test_still_camera_makes_no_keyframe_however_rich_the_scene(observed_by_last:
 
 @pytest.mark.parametrize("observed_by_last", [round(0.8 * MOST), 2 * MOST])
 def test_camera_that_has_lost_half_of_its_landmarks_makes_a_keyframe(observed_by_last: int) -> None:
-    assert _becomes_keyframe(observed_by_last, round(0.4 * MOST))
+    assert _becomes_keyframe(observed_by_last, round(0.4 * MOST), turned_px=2.0)
+
+
+def test_what_hides_landmarks_from_a_camera_at_rest_does_not_become_a_part_of_the_map() -> None:
+    assert not _becomes_keyframe(MOST, round(0.4 * MOST), turned_px=0.1)
 
 
 STRICT = KeyframeConfig(

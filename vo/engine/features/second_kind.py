@@ -30,9 +30,6 @@ class SecondKind:
 
     It is loaded at once only where that may be refused, or else by `is_usable`.
 
-    Args:
-        binary: for descriptors of uint8.
-
     Raises:
         ConfigError, ModelError: it was set up in a way that is impossible, or there is no file.
     """

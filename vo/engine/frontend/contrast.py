@@ -54,7 +54,7 @@ class ContrastCorrection:
         if not 0.0 < self._range < _MIN_RANGE:
             self._strengths.clear()
             return images
-        return tuple(i if i is None or not _has_content(i) else self._raise(i) for i in images)
+        return tuple(i if i is None or self._is_kept(i) else self._raise(i) for i in images)
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -62,6 +62,11 @@ class ContrastCorrection:
         if sum(strength < _MIN_STRENGTH for strength in self._strengths) < _NEEDED:
             return ()
         return (Fault(FaultKind.FAINT_IMAGES, value=min(self._strengths)),)
+
+    def _is_kept(self, image: Bytes) -> bool:
+        """Whether an image shows noise alone, or is clear while the left lens is fogged."""
+        low, high = _ends(image[::_STEP, ::_STEP])
+        return high - low >= max(_MIN_RANGE, 2.0 * self._range) or not _has_content(image)
 
     def _raise(self, image: Bytes) -> Bytes:
         gain = _RAISED_RANGE / self._range

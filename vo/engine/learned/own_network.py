@@ -29,9 +29,6 @@ _MAX_KEYPOINTS, _MAX_WIDTH = 2**20, 2**12
 class OwnExtractor:
     """Detects and describes features by a file of the user's own, strongest first.
 
-    Args:
-        channels: of its input, 1 or 3.
-
     Raises:
         ModelError: its outputs are others.
     """

@@ -25,9 +25,6 @@ class GyroMotion(MotionModel):
     It predicts as with constant velocity where samples are missing, and until the rotations of
     tracked frames have confirmed the gyroscope: one with wrong axes, units or times never is. The
     bias is the mean difference to these rotations.
-
-    Args:
-        imu_from_cam: (4, 4) of the rectified camera.
     """
 
     def __init__(self, reader: SampleReader, imu_from_cam: Floats) -> None:

@@ -11,6 +11,7 @@ from vo.base.config import KeyframeConfig
 from vo.base.geometry.quantiles import median
 from vo.base.types import Floats
 from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.tracked_frame import TrackedFrame
 
@@ -18,6 +19,8 @@ from vo.engine.mapping.tracked_frame import TrackedFrame
 _USUAL_TRACKED_RATIO = 0.9
 # Minimum ratio of the parallax of a keyframe from which the camera counts as moving.
 _MIN_MOVING_RATIO = 0.2
+# Median motion of landmarks in the image since the last keyframe, px, up to which the camera rests.
+_REST_PX = 0.2
 
 
 class Change(NamedTuple):
@@ -28,20 +31,21 @@ class Change(NamedTuple):
             can be tracked.
         parallax_rad: median angle between the rays to landmarks, now and at the last keyframe.
         elapsed_s: time since the last keyframe.
+        is_hidden: whether landmarks are lost while the camera rests, by something before them.
     """
 
     tracked: int
     last_tracked: int
     parallax_rad: float
     elapsed_s: float
+    is_hidden: bool = False
 
 
 class KeyframePolicy:
     """Decides on keyframes by the landmarks that are lost, the parallax and the time.
 
-    Args:
-        config: settings, for one camera those of `KeyframeConfig.in_mono`.
-        max_landmarks: maximum number of landmarks that are tracked in a frame.
+    Landmarks that somebody hides who walks past a camera at rest make no keyframe: he would become
+    a part of the map.
     """
 
     def __init__(self, config: KeyframeConfig, max_landmarks: int) -> None:
@@ -59,19 +63,30 @@ class KeyframePolicy:
             local_map.xyz[rows], last.world_from_cam[:3, 3], tracked.world_from_cam[:3, 3]
         )
         elapsed_s = (frame.stamp_ns - last.frame.stamp_ns) * 1e-9
-        return Change(len(rows), min(len(last.landmark), self._max_tracked), parallax, elapsed_s)
+        last_tracked = min(len(last.landmark), self._max_tracked)
+        are_lost = len(rows) < self._config.min_tracked_ratio * last_tracked
+        is_hidden = are_lost and _rests(last, tracked)
+        return Change(len(rows), last_tracked, parallax, elapsed_s, is_hidden)
 
     def needs_keyframe(self, change: Change) -> bool:
         """Whether a frame should become a keyframe."""
         config = self._config
         if change.tracked < config.min_tracked_ratio * change.last_tracked:
-            return True
+            return not change.is_hidden
         min_parallax_rad = np.deg2rad(config.min_parallax_deg)
         if change.parallax_rad > min_parallax_rad:
             return True
         is_moving = change.parallax_rad > _MIN_MOVING_RATIO * min_parallax_rad
         is_old = change.elapsed_s >= config.max_gap_s
         return bool(is_moving and (is_old or change.tracked < config.min_tracked))
+
+
+def _rests(last: Keyframe, tracked: TrackedFrame) -> bool:
+    """Whether landmarks are where the last keyframe has them in the image."""
+    ids, xy = tracked.ids[tracked.inlier], tracked.observed.image_xy[tracked.inlier]
+    _, now, before = np.intersect1d(ids, last.landmark, assume_unique=True, return_indices=True)
+    moved_px = np.linalg.norm(xy[now] - last.image_xy[before], axis=1)
+    return len(now) > 0 and median(moved_px) < _REST_PX
 
 
 def median_parallax(points: Floats, first_centre: Floats, second_centre: Floats) -> float:

@@ -94,12 +94,7 @@ class MotionModel(Protocol):
         return None
 
     def rate(self, stamp_ns: int, readout_s: float) -> Floats | None:
-        """(3,) rad/s of the camera while the rows of an image are read; None if it is unknown.
-
-        Args:
-            stamp_ns: time of its middle row.
-            readout_s: time from its first to its last row.
-        """
+        """(3,) rad/s of the camera while rows are read around a time; None if it is unknown."""
         return None
 
     def give_up(self) -> None:

@@ -46,7 +46,6 @@ class Rescue:
     """Decides which kind of features a map has.
 
     Args:
-        first: extractor of the kind that the map usually has.
         second: used where the first one fails; None if nothing is ever rescued.
         min_matches: matches that a first map needs.
     """
