@@ -172,7 +172,8 @@ def test_plot_of_unknown_kind(run_folder: Path, truth: Path, tmp_path: Path) -> 
     "wrong", [("--align", "best"), ("--tolerance", "-1"), ("--delta", "0"), ("--bogus",)]
 )
 def test_wrong_usage_exits_2(run_folder: Path, truth: Path, wrong: tuple[str, ...]) -> None:
-    assert vo_eval(run_folder, truth, *wrong).exit_code == 2
+    result = vo_eval(run_folder, truth, *wrong)
+    assert result.exit_code == 2 and "Value error" not in result.stderr
 
 
 def test_help_contains_an_example() -> None:
@@ -230,6 +231,7 @@ def test_two_runs_are_compared(run_folder: Path, walk: Trajectory, truth: Path) 
         assert found["ate"]["translation_m"]["rmse"] < 1e-6
         notes = " ".join(found["notes"])
         assert "differences, not errors" in notes and "only the longest is evaluated" in notes
+        assert ("in its map units, not metres" in notes) == (second == run_folder)
     swapped = vo_eval(truth, other)
     assert swapped.exit_code == 1
     assert "give the run first, then the ground truth" in swapped.stderr

@@ -60,7 +60,7 @@ def run(
     Args:
         source: folder or file of the recording, or a stream of frames.
         output: folder for the results (docs/outputs.md); those of an earlier run are removed.
-        config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
+        config: `default`, `fast`, `accurate`, `best`, a YAML file, or a `vo.Config`.
         overrides: settings to change, such as `["features.count=2500"]`.
         **options: the words of `vo run --help-all`, such as `mode="mono"`, `height=1.65`,
             `markers=0.16`, `mask="body.png"`, `rrd="run.rrd"`, `imu=False` (docs/library.md).

@@ -61,7 +61,7 @@ def match(
         a: (H, W) or (H, W, 3) array of uint8 or uint16, the path of an image, or
             `RECORDING:NUMBER`.
         b: the second image, perhaps of another size.
-        config: `default`, `fast`, `accurate`, a YAML file, or a `vo.Config`.
+        config: `default`, `fast`, `accurate`, `best`, a YAML file, or a `vo.Config`.
         overrides: settings to change, such as `["features.count=2500"]`.
         calibration: of the camera of both images: a file, `vo.read_calibration(file)`, a `vo.Rig`,
             a `vo.Camera`, or a 3 x 3 matrix K of images without distortion; without one there is

@@ -38,7 +38,11 @@ class Command(TyperCommand):
             speak_as(function)
         if not ctx.resilient_parsing:  # of a line that the shell completes
             args = with_new_names(self.name or "", args)
-        rest = super().parse_args(ctx, args)
+        try:
+            rest = super().parse_args(ctx, args)
+        except typer.BadParameter as error:  # without the words of the library that found it
+            error.message = error.message.removeprefix("Value error, ")
+            raise
         if ctx.params.get("quiet") and ctx.params.get("verbose"):
             raise typer.BadParameter("use only one of --quiet and --verbose")
         return rest

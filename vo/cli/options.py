@@ -67,7 +67,7 @@ Config = Annotated[
     str,
     typer.Option(
         metavar="PRESET|FILE",
-        help="default, fast or accurate, or a YAML file like configs/default.yaml.",
+        help="default, fast, accurate or best, or a YAML file like configs/default.yaml.",
         autocompletion=completion.presets,
         rich_help_panel=ODOMETRY,
     ),

@@ -36,6 +36,7 @@ _REFERENCE_NAMES = (
 )
 _SCALED_NOTE = "mono estimate in metres, by the scale in its summary.json: aligned without scale"
 _RUN_NOTE = "the reference is another run: these are differences, not errors"
+_UNSCALED_RUN_NOTE = "the reference run has no scale: lengths here are in its map units, not metres"
 _TARTANAIR_NOTE = "ground truth read as TartanAir's: camera axes x forward, y right, z down"
 
 
@@ -146,6 +147,7 @@ def _other_run(path: Path, summary: dict[str, Any]) -> tuple[GivenTrajectory, di
     notes = (_RUN_NOTE, *(f"reference: {note}" for note in kept.notes))
     if modes[0] == causal_mode == "mono":
         summary = summary | {"mode": "mono", "length_unit": other.get("length_unit")}
+        notes = (*notes, _UNSCALED_RUN_NOTE)
     return replace(read, trajectory=kept.estimate, notes=notes), summary
 
 

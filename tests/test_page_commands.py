@@ -1,0 +1,145 @@
+"""Each command of README and the pages is a whole call, and runs on files of the names it has."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from page_files import make_files
+from typer.testing import CliRunner
+
+from vo.cli.app import app
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+# Run as something shorter, or on a file in place of a device, an address or a long video.
+SHORTER = {
+    r"vo demo$": "vo demo --help",
+    r"(vo synth \S+ .*)": r"\1 --seconds 1.5 --set scale=0.25",
+    r"(vo sweep .*)--trials 40": r"\1--trials 2",
+    r"drive\.mp4": "drive.mcap",
+    r"gps\.nmea": "gps.csv",
+    r"(vo calibrate board.*)": r"\1 --force",
+    r"--start 100 --end 400 --width 1920": "--start 4 --end 8 --width 640",
+    r"--start 100 --end 600": "--start 4 --end 9",
+}
+# Not run: what needs a network, a device, a window, another program, or large recordings.
+NOT_RUN = {
+    "s3://": "an object store",
+    "camera:0": "a device",
+    r"vo view": "a window; tests/cli/test_view_command.py",
+    r"vo models fetch": "a network; tests/engine/learned",
+    "xfeat": "weights from the network",
+    "lighterglue": "weights from the network",
+    r"vo sweep": "many runs; tests/runs/batch",
+    r"--dataset": "whole data sets; tests/runs/batch",
+    "vo compare": "two batches; tests/runs/batch",
+    r"vo recognize|mug": "a textured object in view; tests/tools/objects",
+    r"--map|vo map": "several sessions; tests/engine/maps",
+    r"--wheel": "a robot; tests/runs/test_wheel_run.py",
+    r"vo demo|vo warmup": "a minute; tests/cli/test_demo.py",
+    r"vo markers \w": "markers in view; tests/cli/test_markers_command.py",
+    r"--height": "a street; tests/runs/test_scaled_run.py",
+    r"--imu": "a board that swings; tests/tools/calibrating",
+    r"vo synth|out/street|out/run": "tests/cli/test_synth_command.py",
+    r"statue": "a minute; tests/tools/rendering",
+    r"in_front": "tests/tools/rendering",
+}
+
+
+def blocks(page: Path) -> list[str]:
+    """Lines of the blocks of code that call `vo`, without comments and results."""
+    lines, in_code = [], False
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.lstrip().startswith("```"):
+            in_code = not in_code and line.strip() in ("```", "```sh")
+        elif in_code and line.strip().startswith("vo "):
+            lines.append(re.split(r"\s+#\s", line.strip())[0])
+    return lines
+
+
+CALLS = [(page.name, line) for page in PAGES for line in dict.fromkeys(blocks(page))]
+
+
+@pytest.mark.parametrize(("page", "line"), CALLS)
+def test_a_command_is_a_whole_call(page: str, line: str) -> None:
+    """Also values of options, and arguments that must be given."""
+    command: Any = typer.main.get_command(app)
+    name, *words = shlex.split(re.split(r" > | \|", line)[0])[1:]
+    command.commands[name].make_context(name, words, resilient_parsing=False).close()
+
+
+PRELUDE = """from typing import Any
+
+import vo
+
+camera: Any
+stream: Any
+image: Any
+mask: Any
+"""
+
+
+def test_python_lines_use_the_interface_as_it_is(tmp_path: Path) -> None:
+    """Names, arguments and their types; tests/test_tutorial_page.py runs those of the tutorial."""
+    pytest.importorskip("mypy")
+    programs = []
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        found = re.findall(r"```python\n(.*?)```", text, re.S)
+        program = tmp_path / f"page_{page.stem.replace('-', '_').lower()}.py"
+        program.write_text("\n".join([PRELUDE, *found]), encoding="utf-8")
+        programs += [str(program)] if found else []
+    assert len(programs) > 6
+    words = ["--config-file=", "--follow-imports=silent", "--ignore-missing-imports"]
+    words += ["--disable-error-code=union-attr"]  # what is None without a calibration or a fit
+    result = subprocess.run(
+        [sys.executable, "-m", "mypy", *words, *programs],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout
+
+
+def is_run(line: str) -> bool:
+    return not any(re.search(pattern, line) for pattern in NOT_RUN)
+
+
+@pytest.fixture(scope="module")
+def files(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pages")
+    make_files(synthetic_stereo, folder)
+    return folder
+
+
+RUN = [page for page in PAGES if any(map(is_run, blocks(page)))]
+
+
+@pytest.mark.parametrize("page", RUN, ids=lambda page: page.name)
+def test_commands_run(
+    page: Path, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for entry in files.iterdir():
+        if entry.name == "out":
+            shutil.copytree(entry, tmp_path / "out")
+        elif entry.is_dir():
+            (tmp_path / entry.name).symlink_to(entry)
+        else:
+            shutil.copy(entry, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for line in filter(is_run, blocks(page)):
+        call = line
+        for pattern, shorter in SHORTER.items():
+            call = re.sub(pattern, shorter, call)
+        words = shlex.split(re.split(r" > | \|", call)[0])[1:]
+        result = CliRunner().invoke(app, words, catch_exceptions=False)
+        assert result.exit_code == 0, f"{line}: {result.output}"
