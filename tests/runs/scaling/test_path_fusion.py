@@ -267,6 +267,19 @@ def test_wheels_alone_hold_the_scale_of_one_camera(noise: float, largest: float)
     np.testing.assert_array_less(0.0, np.linalg.eigvalsh(found.from_first[300, :6, :6]))
 
 
+def test_further_rounds_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding errors grew a hundredfold in each: the path was lost in the sixth."""
+    drive = make_drive(1, NEARLY_NONE._replace(log_scale=2e-3))
+    fixes, ways = drive.fixes.rows(np.zeros(0, np.int64)), wheel_ways(drive, 0.004)
+    moved = []
+    for rounds in (4, 8):
+        monkeypatch.setattr("vo.runs.scaling.path_fusion._ROUNDS", rounds)
+        found = fuse_path(drive.poses, fixes, Given(NO_LOOPS, False, ways=ways))
+        assert found is not None and found.is_moved
+        moved.append(found.poses)
+    np.testing.assert_allclose(moved[1], moved[0], atol=0.02)  # of 5 km
+
+
 def test_wheels_that_show_no_drift_move_nothing() -> None:
     drive = make_drive(1, NEARLY_NONE._replace(log_scale=1e-5))
     fixes = drive.fixes.rows(np.zeros(0, np.int64))

@@ -198,11 +198,12 @@ class _Fusion:
         turn = np.zeros(7)
         turn[:width] = solution.parameters[:width]
         change[0] = 0.0
+        # Not by the inverses of poses, which would add up their rounding errors in every round.
+        self._motions = self._motions @ sim3.retract(change[1:])
         moved = [sim3.retract(turn) @ self.poses[0]]
-        for motion, step in zip(self._motions, sim3.retract(change[1:]), strict=True):
-            moved.append(moved[-1] @ motion @ step)
+        for motion in self._motions:
+            moved.append(moved[-1] @ motion)
         self.poses = np.stack(moved)
-        self._motions = sim3.inverse(self.poses[:-1]) @ self.poses[1:]
         self._errors = self._errors_of(self.poses)
         self._solved = measured, solution
 
