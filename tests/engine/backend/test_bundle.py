@@ -148,3 +148,23 @@ def test_the_hessian_is_symmetric_and_tells_which_poses_see_nothing() -> None:
     np.testing.assert_array_equal(hessian, hessian.T)
     np.testing.assert_array_equal(hessian[-6:], 0.0)
     assert np.linalg.eigvalsh(hessian[:-6, :-6]).min() > 0.0
+
+
+def test_the_order_of_observations_does_not_matter() -> None:
+    problem = _noisy(True, 1).problem
+    order = np.random.default_rng(1).permutation(len(problem.point))
+    shuffled = replace(
+        problem,
+        keyframe=problem.keyframe[order],
+        point=problem.point[order],
+        xy=problem.xy[order],
+        disparity=problem.disparity[order],
+        sigma_px=problem.sigma_px[order],
+    )
+    usable = np.ones(len(problem.points), bool)
+    of_order, of_shuffled = (
+        Bundle(each, usable, PATIENT).normal_equations(problem.world_from_cam)
+        for each in (problem, shuffled)
+    )
+    np.testing.assert_allclose(of_shuffled.hessian, of_order.hessian, rtol=1e-9, atol=1e-3)
+    np.testing.assert_allclose(of_shuffled.gradient, of_order.gradient, rtol=1e-9, atol=1e-6)

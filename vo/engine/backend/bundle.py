@@ -107,14 +107,18 @@ class _Optimum(NamedTuple):
 
 
 def views_of(problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> PointViews:
-    """The observations of a window's usable points (M,), by point."""
+    """The observations of a window's usable points (M,), by point, then keyframe."""
+    point, keyframe = problem.point, problem.keyframe
+    measured = problem.xy, problem.disparity, problem.sigma_px
+    if (keyframe[1:] < keyframe[:-1]).any():  # normal equations need them in order
+        order = np.argsort(keyframe, kind="stable")
+        point, keyframe = point[order], keyframe[order]
+        measured = problem.xy[order], problem.disparity[order], problem.sigma_px[order]
     return point_views(
         point_ok,
-        problem.point,
-        problem.keyframe,
-        PixelObservations(
-            problem.xy, problem.disparity, problem.sigma_px, problem.sigma_disparity_px
-        ),
+        point,
+        keyframe,
+        PixelObservations(*measured, problem.sigma_disparity_px),
         problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
         config.huber,
