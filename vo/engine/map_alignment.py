@@ -93,13 +93,13 @@ class MapAlignment:
             self._inertial.finish(local_map)
         if self._memory is not None:
             self._memory.finish(local_map)
-        if self._inertial is not None:
-            self._inertial.fill_gaps()
         if self._final is not None:
             unsure = set() if self._memory is None else self._memory.unsure_worlds
             moved = self._final.finish(local_map, self.accepted_loops, unsure)
             if self._memory is not None:
                 self._memory.adjusted += moved
+        if self._inertial is not None:
+            self._inertial.fill_gaps()
 
     def path_before_loops(self, store: TrajectoryStore, *, in_metres: bool) -> Trajectory:
         """The path before all loops, after `finish`: each segment in a world of its own.

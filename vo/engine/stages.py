@@ -124,7 +124,7 @@ def make_stages(
     predictor = _predictor(reader, components.inertial_noise, rectified)
     inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
-    final = _final(rectified, config, trajectory, stopwatch, inertial)
+    final = _final(config, trajectory, stopwatch)
     stores = [each for each in (components.keyframe_store, memory, final) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
@@ -194,14 +194,10 @@ def _memory(
 
 
 def _final(
-    rig: RectifiedRig,
-    config: Config,
-    trajectory: TrajectoryBuilder,
-    stopwatch: Stopwatch,
-    inertial: InertialAlignment | None,
+    config: Config, trajectory: TrajectoryBuilder, stopwatch: Stopwatch
 ) -> FinalAdjustment | None:
-    """Not in a map, nor where an inertial sensor has a part in the shape of the path."""
-    if config.refinement.rounds == 0 or config.memory.map or (inertial and not rig.is_metric):
+    """Not in a map."""
+    if config.refinement.rounds == 0 or config.memory.map:
         return None
     from vo.engine.memory.final_adjustment import FinalAdjustment
 

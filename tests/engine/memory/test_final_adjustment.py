@@ -11,8 +11,11 @@ from room_course import ate
 
 from vo.base.config import PatchConfig, load_config
 from vo.base.geometry.rectification import RectifiedRig
+from vo.engine.backend.loop_adjustment import AdjustedPath, Motions, path_covariance
 from vo.engine.frontend.patch_alignment import PatchAligner
 from vo.engine.memory.rematching import PathViews, rematched
+from vo.outputs.evaluation.evaluation import evaluate
+from vo.outputs.evaluation.inputs import load_inputs
 from vo.runs.run_recording import run
 
 _RIG = RectifiedRig(320, 240, 200.0, 200.0, 160.0, 120.0, 0.0, np.eye(4))
@@ -97,3 +100,40 @@ def test_best_lowers_the_error_of_one_camera_and_leaves_causal_poses(
     assert causal[0] == causal[1]
     paths = [(tmp_path / name / "trajectory.tum").read_bytes() for name in rounds]
     assert paths[0] != paths[1]
+
+
+def test_best_keeps_metre_and_vertical_of_an_inertial_sensor(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    hall = shared_data / "rendered_hall_stereo"
+    in_metres, shape = {}, {}
+    for rounds in (0, 2):
+        config = load_config("best", ["memory.loops=false", f"refinement.rounds={rounds}"])
+        run(hall, tmp_path / str(rounds), config=config, mode="mono")
+        inputs = load_inputs(tmp_path / str(rounds) / "trajectory.tum", hall)
+        for found, method in ((in_metres, "se3"), (shape, "sim3")):
+            errors = evaluate(inputs.estimate, inputs.reference, method).ate.translation
+            found[rounds] = errors.rmse
+    assert 0.0 < abs(shape[2] - shape[0]) < 0.1 * shape[0]
+    assert in_metres[2] < 1.1 * in_metres[0]
+
+
+def test_covariances_are_those_of_the_adjusted_path() -> None:
+    """Further keyframes and further from the first one are less certain, by mm at 4 m."""
+    views = _views()
+    found = rematched(views, views, _RIG, PatchAligner(PatchConfig(half_px=4)))
+    problem = found.problem(_RIG, 0.3)
+    nothing = Motions(*(np.empty((0, *size)) for size in ((), (), (4, 4), (6, 6))))
+    nothing = nothing._replace(earlier=np.empty(0, np.int64), later=np.empty(0, np.int64))
+    path = AdjustedPath(found.world_from_cam, found.points)
+    covariance = path_covariance(problem, path, nothing, load_config("best").smoothing)
+    assert covariance is not None
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    np.testing.assert_array_equal(sigma[0], 0.0)
+    assert (np.diff(sigma[1:, 5]) > 0.0).all()
+    assert 1e-4 < sigma[-1, 3:].max() < 0.05
+    rest = {  # nothing by the last keyframe
+        name: getattr(problem, name)[problem.keyframe < _COUNT - 1]
+        for name in ("keyframe", "point", "xy", "disparity", "sigma_px")
+    }
+    assert path_covariance(replace(problem, **rest), path, nothing, load_config().smoothing) is None

@@ -17,6 +17,7 @@ from vo.base.geometry.transforms import adjoint, inverse, orthonormalised
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.residuals import residuals
+from vo.engine.backend.solution import information_by_images
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry import sim3
 
@@ -27,6 +28,10 @@ _HUBER = 1.345  # standard deviations from which the error of a motion weighs le
 _FIRST_DAMPING, _MAX_DAMPING = 1e-6, 1e3  # relative to the diagonal of the hessian
 _MAX_STEPS = 30
 _MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
+# On variances: errors of long tracks have more in common (docs/experiments/covariances.md).
+_MORE_ALIKE = 2.0
+# With one camera the unit of length is that of so many first poses, to so much.
+_OF_UNIT, _UNIT_SIGMA = 7, 1e-4
 
 
 class Motions(NamedTuple):
@@ -86,6 +91,32 @@ def adjust_path(
     if not (np.isfinite(poses).all() and np.isfinite(points[usable]).all()):
         return None
     return AdjustedPath(poses, points)
+
+
+def path_covariance(
+    problem: WindowProblem, path: AdjustedPath, motions: Motions, config: SmoothingConfig
+) -> Floats | None:
+    """(K, 6, 6) of the poses relative to the first one; None where they are not determined."""
+    poses, count = path.world_from_cam, len(path.world_from_cam) - 1
+    usable = _usable(problem)
+    information = information_by_images(problem, poses, path.points, usable, config)[6:, 6:]
+    information /= _MORE_ALIKE
+    information, _ = _Edges(motions).added_to(information, np.zeros(6 * count), poses)
+    if problem.baseline_m == 0.0:
+        by_scale = np.zeros((count, 6))
+        first = poses[1:_OF_UNIT]
+        by_scale[: len(first), 3:] = np.einsum(
+            "kji,kj->ki", first[:, :3, :3], first[:, :3, 3] - poses[0, :3, 3]
+        )
+        by_scale /= max(float((by_scale**2).sum()), 1e-300) * _UNIT_SIGMA
+        information += np.outer(by_scale, by_scale)
+    try:
+        np.linalg.cholesky(information)
+    except np.linalg.LinAlgError:
+        return None
+    blocks = np.linalg.inv(information).reshape(count, 6, count, 6)
+    own = blocks[np.arange(count), :, np.arange(count)]
+    return np.concatenate([np.zeros((1, 6, 6)), 0.5 * (own + np.swapaxes(own, 1, 2))])
 
 
 def k1_step(problem: WindowProblem, config: SmoothingConfig) -> float:

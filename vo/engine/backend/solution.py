@@ -77,14 +77,21 @@ def unsolved(problem: WindowProblem) -> WindowSolution:
     return WindowSolution(poses, held, nothing, points, ok, None, False, {})
 
 
+def information_by_images(
+    problem: WindowProblem, poses: Floats, points: Floats, ok: Bools, config: SmoothingConfig
+) -> Floats:
+    """(6 K, 6 K) of the observations on all poses, with the noise that their residuals show."""
+    linear = linearise(problem, poses, points, ok, config)
+    off, _ = residuals(problem, poses, points)
+    noise = max(median(off[ok[problem.point]]) / _USUAL_RESIDUAL, _LEAST_NOISE)
+    return pose_information(linear, config.covariance_scale * noise**2)
+
+
 def _information(
     problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
 ) -> Floats:
     poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
-    linear = linearise(problem, poses, points, ok, config)
-    off, _ = residuals(problem, poses, points)
-    noise = max(median(off[ok[problem.point]]) / _USUAL_RESIDUAL, _LEAST_NOISE)
-    information = pose_information(linear, config.covariance_scale * noise**2)
+    information = information_by_images(problem, poses, points, ok, config)
     _, scaled, sigmas = gauge_of(problem)
     if scaled is not None:
         rows = np.arange(6 * scaled, 6 * scaled + 6)

@@ -91,14 +91,7 @@ def bridge(
 
 
 def moved_to(end: EndState, to: EndState, reader: SampleReader, noise: ImuNoise) -> EndState | None:
-    """The pose of one end with the velocity that the other one had or will have.
-
-    Args:
-        end: of which the velocity is known.
-        to: a pose before or after it.
-        reader: gives the samples.
-        noise: of the sensor.
-    """
+    """The pose `to` with the velocity by that of an end before or after it."""
     if end.stamp_ns == to.stamp_ns:
         return end
     is_later = to.stamp_ns > end.stamp_ns

@@ -106,13 +106,7 @@ class Estimate:
 
 
 def first_prior(state: States, *, is_metric: bool, biases: KnownBiases | None = None) -> Prior:
-    """What is known of the first state (1) of a world: its place and heading are chosen.
-
-    Args:
-        state: at which that is a quadratic cost.
-        is_metric: whether the unit of the map is the metre.
-        biases: at its time, None if nothing is known of them.
-    """
+    """What is known of the first state (1) of a world: its place and heading are chosen."""
     sigma = np.empty(WIDTH)
     sigma[ROTATION], sigma[POSITION], sigma[VELOCITY] = np.pi, _FIXED_M, _VELOCITY_M_S
     sigma[GYRO_BIAS], sigma[ACCEL_BIAS] = _GYRO_BIAS_RAD_S, _ACCEL_BIAS_M_S2
@@ -141,15 +135,9 @@ def estimate_states(
     *,
     last_step: float = _CONVERGED,
 ) -> Estimate:
-    """Iterate to the most probable states.
+    """Iterate from n states to the most probable ones, with priors of the first and the last.
 
-    Args:
-        states: n, to begin with.
-        steps: the n - 1 measurements between them.
-        prior: of the first.
-        noise: of the sensor.
-        last: the same of the last.
-        last_step: in standard deviations: no iteration follows one whose steps are all smaller.
+    No iteration follows one whose steps are all smaller than `last_step` standard deviations.
 
     Raises:
         numpy.linalg.LinAlgError: the measurements do not determine the states.

@@ -67,12 +67,7 @@ def visual_residuals(
 
     The motions by images have errors, so that their length does not appear in any derivative:
     multiplied by the scale, as the residual in metres would have it, they make the scale too small.
-
-    Args:
-        before: n states.
-        after: n states.
-        visual: (n, 4, 4) earlier_from_later of the camera, in map units.
-        imu_from_cam: (4, 4).
+    `visual`: (n, 4, 4) earlier_from_later, in map units.
     """
     fields = before.rotation, before.position, before.log_scale, after.rotation, after.position
     mounting = imu_from_cam[:3, :3], imu_from_cam[:3, 3]

@@ -144,10 +144,7 @@ def upright(rotation: Floats, gravity: Floats) -> Floats:
     """(3, 3) upright_from_world: z up, x in the direction in which the first camera looks.
 
     A camera that looks almost straight up or down gives the direction of its image's upper edge.
-
-    Args:
-        rotation: (3, 3) world_from_cam of the first camera.
-        gravity: (3,) in that world, downwards.
+    `rotation`: (3, 3) world_from_cam of the first camera.
     """
     up = -gravity / np.linalg.norm(gravity)
     forward = rotation[:, 2]

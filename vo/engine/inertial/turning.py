@@ -48,14 +48,7 @@ class TurnLog:
         self.turns: list[Turn] = []
 
     def add(self, times_ns: tuple[int, int], first: Floats, second: Floats, matrix: Floats) -> None:
-        """Add the rotation of matched ideal pixels (n, 2) of two images; outliers count less.
-
-        Args:
-            times_ns: of the images.
-            first: pixels in the first one.
-            second: pixels in the second one.
-            matrix: (3, 3) of the camera.
-        """
+        """Add the rotation of matched ideal pixels (n, 2) of two images; outliers count less."""
         inverted = np.asarray(np.linalg.inv(matrix), np.float64)
         rays = [_rays(xy, inverted) for xy in (first, second)]
         rotation, weight = np.eye(3), np.ones(len(first))
@@ -83,14 +76,7 @@ class Turning(NamedTuple):
 def turning_between(
     turns: list[Turn], times_ns: tuple[int, int], reader: SampleReader, imu_from_cam: Floats
 ) -> Turning | None:
-    """The turns between two times; None if images and gyroscope do not confirm each other.
-
-    Args:
-        turns: rotations by images.
-        times_ns: the first and the last time.
-        reader: gives the samples.
-        imu_from_cam: (4, 4).
-    """
+    """The turns between two times; None if images and gyroscope do not confirm each other."""
     chosen = [
         turn
         for turn in turns

@@ -43,15 +43,9 @@ def upright_alignment(
 
 
 def alignment_covariance(world_from_cam: Floats, sigma_scale: float, sigma_tilt: float) -> Floats:
-    """What errors of the scale and the vertical add to the covariances of poses.
+    """What errors of the scale and the vertical add to covariances (n, 6, 6) of poses.
 
-    Args:
-        world_from_cam: (n, 4, 4) in a metric world whose z axis points up.
-        sigma_scale: relative standard deviation.
-        sigma_tilt: standard deviation about each horizontal axis, radians.
-
-    Returns:
-        (n, 6, 6), tangent on the right, rotation first.
+    `sigma_scale` is relative, `sigma_tilt` about each horizontal axis in radians.
     """
     cam_from_world = inverse(world_from_cam)
     tilt = adjoint(cam_from_world)[:, :, :2]

@@ -41,14 +41,7 @@ class _End(NamedTuple):
 
 
 class InertialGaps:
-    """Remembers states of keyframes, and bridges the gaps beside them after the last frame.
-
-    Args:
-        trajectory: the path.
-        reader: gives the samples.
-        noise: of the sensor.
-        cam0_from_imu: (4, 4).
-    """
+    """Remembers states of keyframes, and bridges the gaps beside them after the last frame."""
 
     def __init__(
         self,

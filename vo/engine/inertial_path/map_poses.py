@@ -114,12 +114,8 @@ class InertialMapPoses:
     ) -> Mapping[int, InertialPose]:
         """Poses by id of the keyframe for the pose graph that is optimised next.
 
-        Those of one segment are in one frame.
-
-        Args:
-            world: number of the newest world, None without one.
-            together: all its poses, estimated together.
-            sigma: of their scale (relative) and vertical (radians).
+        Those of one segment are in one frame. `together` are those of the newest world, `sigma` of
+        their scale (relative) and vertical (radians).
         """
         self.awaits_graph = False
         given = {k: e for k, e in self._poses.items() if e.world != world} | dict(together)

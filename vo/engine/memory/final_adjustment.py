@@ -16,10 +16,11 @@ import numpy as np
 
 from vo.base.config import Config
 from vo.base.geometry.rectification import RectifiedRig
+from vo.base.geometry.similarity import Similarity
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Bytes, Floats, Ints
-from vo.engine.backend.loop_adjustment import AdjustedPath, adjust_path, k1_step
+from vo.engine.backend.loop_adjustment import AdjustedPath, adjust_path, k1_step, path_covariance
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.frontend.patch_alignment import PatchAligner
@@ -172,14 +173,20 @@ class FinalAdjustment:
                 off, _ = residuals(self._problem(views, rig), views.world_from_cam, views.points)
                 gate = _GATE if number < rounds - 1 else _LAST_GATE
                 views = views.select(np.flatnonzero(off < gate))
+        found = AdjustedPath(views.world_from_cam, views.points)
+        weighted = with_measured_noise(self._problem(views, rig))
+        covariance = path_covariance(weighted, found, motions, smoothing)
         if rig.is_metric:
-            return replace(registered, world_from_cam=views.world_from_cam)
+            adjusted = replace(registered, world_from_cam=views.world_from_cam)
+            return adjusted if covariance is None else replace(adjusted, covariance=covariance)
         depth = [s * each.xyz[:, 2] for s, each in zip(registered.scale, stored, strict=True)]
-        start, found = (
-            self._problem(measured, rig),
-            AdjustedPath(views.world_from_cam, views.points),
-        )
-        return with_scale_kept(registered, start, found, np.concatenate(depth), inside)
+        start = self._problem(measured, rig)
+        kept = with_scale_kept(registered, start, found, np.concatenate(depth), inside)
+        if kept is None or covariance is None:
+            return kept
+        if int(registered.world[0]) in self._trajectory.store.metric.worlds_by_sensor:
+            return _as_whole_where(kept, registered)  # and errors of metre and vertical stay
+        return replace(kept, covariance=covariance)
 
     def _problem(self, views: PathViews, rig: RectifiedRig) -> WindowProblem:
         return views.problem(rig, self._config.stereo.sigma_disparity_px)
@@ -207,6 +214,18 @@ def _views(registered: RegisteredKeyframes, stored: Sequence[_Stored]) -> PathVi
         np.concatenate([each.disparity for each in stored]),
         np.concatenate([each.sigma_px for each in stored]),
     )
+
+
+def _as_whole_where(
+    adjusted: RegisteredKeyframes, before: RegisteredKeyframes
+) -> RegisteredKeyframes:
+    """An adjusted path with the mean scale and direction of before, which a sensor measures."""
+    poses, old = adjusted.world_from_cam, before.world_from_cam
+    u, _, vt = np.linalg.svd(np.einsum("kij,klj->il", old[:, :3, :3], poses[:, :3, :3]))
+    unit, turn = float(np.exp(np.log(before.scale / adjusted.scale).mean())), u @ vt
+    moved = Similarity(unit, turn, old[0, :3, 3] - unit * turn @ poses[0, :3, 3])
+    scale = adjusted.scale * unit
+    return replace(adjusted, world_from_cam=moved.transform_poses(poses), scale=scale)
 
 
 def _is_connected(views: PathViews) -> bool:
