@@ -25,7 +25,14 @@ NEEDS_EXTRA = {
     **{
         f"vo.outputs.recorders.{name}": "rerun"
         for name in (
-            *("entities", "loop_layer", "map_layer", "plot_layer", "rerun_recorder"),
+            *(
+                "dense_recording",
+                "entities",
+                "loop_layer",
+                "map_layer",
+                "plot_layer",
+                "rerun_recorder",
+            ),
             *("settled_layer", "sink", "view_layer"),
         )
     },

@@ -74,7 +74,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.tools": (
         {"drawing", "models", "reopening"},
         {"calibrating", "pairs"},
-        {"inspection", "laboratory", "maps", "markers", "objects", "rendering"},
+        {"dense", "inspection", "laboratory", "maps", "markers", "objects", "rendering"},
     ),
     "vo.runs": (
         {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"},

@@ -8,7 +8,7 @@
     vo.read_trajectory, vo.read_calibration     files, in the usual formats
     vo.match, vo.find_markers, vo.ObjectDatabase, vo.features      single images
     vo.maps                                     saved maps
-    vo.info, vo.convert, vo.synth, vo.report, vo.video, vo.batch: other commands
+    vo.info, vo.convert, vo.synth, vo.report, vo.video, vo.dense, vo.batch: commands
     vo.calibrate, vo.calibrate_imu, vo.calibrate_imu_noise, vo.print_board
 
 Go on with help(vo.run), help(vo.Odometry), or docs/library.md. All errors are a vo.VoError. The
@@ -74,6 +74,8 @@ if TYPE_CHECKING:
     from vo.recordings.formats.trajectory import write_tum as write_trajectory
     from vo.recordings.sources.registry import open_source as open
     from vo.recordings.sources.source import FrameStream, Recording
+    from vo.tools.dense.dense import densify as dense
+    from vo.tools.dense.fusion import DenseOptions, Densified
     from vo.tools.markers.image_markers import Marker, PlanePose
     from vo.tools.objects.stored_objects import FoundObject
     from vo.tools.rendering.render import Rendered, RenderOptions, render
@@ -87,6 +89,8 @@ _DEFINED_IN = {
     "Components": "vo.engine.stages:Components",
     "Config": "vo.base.config:Config",
     "ConfigError": "vo.base.errors:ConfigError",
+    "DenseOptions": "vo.tools.dense.fusion:DenseOptions",
+    "Densified": "vo.tools.dense.fusion:Densified",
     "Estimate": "vo.base.types:Estimate",
     "Evaluation": "vo.outputs.evaluation.evaluation:Evaluation",
     "EvaluationError": "vo.base.errors:EvaluationError",
@@ -126,6 +130,7 @@ _DEFINED_IN = {
     "calibrate_imu": "vo.api.calibration:calibrate_imu",
     "calibrate_imu_noise": "vo.api.calibration:calibrate_imu_noise",
     "convert": "vo.api.commands:convert",
+    "dense": "vo.tools.dense.dense:densify",
     "evaluate": "vo.api.functions:evaluate",
     "features": "vo.api.features",
     "find_markers": "vo.api.markers:find_markers",
@@ -156,6 +161,8 @@ __all__ = [
     "Components",
     "Config",
     "ConfigError",
+    "DenseOptions",
+    "Densified",
     "Estimate",
     "Evaluation",
     "EvaluationError",
@@ -196,6 +203,7 @@ __all__ = [
     "calibrate_imu",
     "calibrate_imu_noise",
     "convert",
+    "dense",
     "evaluate",
     "features",
     "find_markers",

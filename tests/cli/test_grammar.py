@@ -174,7 +174,7 @@ def completed(tmp_path: Path, *words: str) -> list[str]:
 @pytest.mark.parametrize(
     ("words", "found"),
     [
-        (["de"], ["demo"]),
+        (["dem"], ["demo"]),
         (["run", "--fo"], ["--format", "--follow"]),
         (["run", "--mode", ""], ["auto", "mono", "stereo"]),
         (["run", "x", "--config", ""], ["accurate", "best", "default", "fast"]),

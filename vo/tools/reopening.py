@@ -1,17 +1,23 @@
-"""The recording of a finished run, as the run has opened it."""
+"""A finished run: its recording, as the run has opened it, and its poses."""
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
+from typing import NamedTuple
 
-from vo.base.types import Mode
+import numpy as np
+
+from vo.base.errors import SourceError
+from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
+from vo.base.types import Floats, Mode
 from vo.outputs.report.run_folder import RunRecord
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 
 
-def recording_of(record: RunRecord) -> Recording:
-    """Open the recording of a run, which must be where it was.
+def recording_of(record: RunRecord, source: str | None = None) -> Recording:
+    """Open the recording of a run, None for where it was.
 
     Raises:
         SourceError: it is not there, or damaged.
@@ -19,10 +25,45 @@ def recording_of(record: RunRecord) -> Recording:
     summary = record.summary
     mode: Mode = "mono" if summary["mode"] == "mono" else "auto"
     return open_source(
-        Path(str(summary["source"])),
+        Path(str(summary["source"]) if source is None else source),
         format=str(summary["format"]),
         calibration=summary.get("calibration"),
         mode=mode,
         topics=summary.get("topics", ()),
         right_offset_ns=summary.get("right_offset_ns"),
     )
+
+
+class FramePose(NamedTuple):
+    """A row of `poses.csv`."""
+
+    segment: int
+    world_from_cam0: Floats
+    is_keyframe: bool
+
+
+def poses_of(record: RunRecord) -> dict[int, FramePose]:
+    """Poses of a run by number of the frame.
+
+    Raises:
+        SourceError: there is none, or the table is damaged.
+    """
+    path = record.path / "poses.csv"
+    try:
+        rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
+        found = {
+            int(row["frame"]): FramePose(
+                int(row["segment"]),
+                make_transform(
+                    rotation_from_quat_xyzw(np.array([float(row[f"q{a}"]) for a in "xyzw"])),
+                    np.array([float(row[f"t{a}"]) for a in "xyz"]),
+                ),
+                row["keyframe"] == "1",
+            )
+            for row in rows
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
+    if not found:
+        raise SourceError(f"{path} has no pose; the run has no path")
+    return found

@@ -73,6 +73,7 @@ def _run_sections(entry: Entry, plots: Sequence[Plot], is_comparison: bool) -> M
     return join(
         sections.plot_section(f"Tracking and time{name}", own),
         sections.image_section(entry, f"Images{name}"),
+        sections.dense_views(entry, f"Cloud{name}"),
     )
 
 

@@ -198,13 +198,30 @@ def image_section(entry: Entry, title: str) -> Markup:
 
 
 def _thumbnail(thumbnail: Thumbnail) -> Markup:
-    done, data = cv2.imencode(".jpg", thumbnail.image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    caption = f"{thumbnail.event}: frame {thumbnail.frame}, {thumbnail.seconds:.1f} s"
+    image = _embedded(thumbnail.image, caption)
+    return element("figure", image, element("figcaption", caption))
+
+
+def _embedded(picture: Bytes, caption: str) -> Markup:
+    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     assert done
     source = "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
-    height, width = thumbnail.image.shape
-    caption = f"{thumbnail.event}: frame {thumbnail.frame}, {thumbnail.seconds:.1f} s"
-    image = Markup(f'<img src="{source}" width="{width}" height="{height}" alt="{caption}">')
-    return element("figure", image, element("figcaption", caption))
+    height, width = picture.shape[:2]
+    return Markup(f'<img src="{source}" width="{width}" height="{height}" alt="{caption}">')
+
+
+def dense_views(entry: Entry, title: str) -> Markup:
+    """Pictures of the cloud that `vo dense` has made of the run, if it has."""
+    found = []
+    for name, caption in (("above", "from above"), ("turntable", "from four sides")):
+        path = entry.run.path / "dense" / f"{name}.png"
+        picture = cv2.imread(str(path)) if path.is_file() else None
+        if picture is not None:
+            caption = f"Cloud of points, {caption}, and the path"
+            image = _embedded(np.asarray(picture, np.uint8), caption)
+            found.append(element("figure", image, element("figcaption", caption)))
+    return element("section", element("h2", title), *found) if found else Markup()
 
 
 def frames_without_pose(entry: Entry) -> Markup:

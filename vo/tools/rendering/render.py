@@ -19,7 +19,7 @@ from vo.recordings.formats.mesh import Mesh, read_mesh
 from vo.recordings.sources.source import Recording
 from vo.tools.drawing import is_video, write_video
 from vo.tools.rendering.rasterizer import draw, shading
-from vo.tools.reopening import recording_of
+from vo.tools.reopening import FramePose, poses_of, recording_of
 
 _AXIS_WIDTH = 0.06  # of axes, relative to their length
 _AXIS_COLOURS = ((213, 94, 0), (0, 158, 115), (0, 114, 178))  # x, y, z
@@ -122,11 +122,6 @@ class Rendered(NamedTuple):
     unit: str
 
 
-class _Pose(NamedTuple):
-    segment: int
-    world_from_cam0: Floats
-
-
 def render(
     run: str | Path,
     output: str | Path,
@@ -152,7 +147,7 @@ def render(
         raise ConfigError(f"{target} is neither a video (.mp4) nor a picture (.png, .jpg)")
     mesh = axes() if model is None else read_mesh(Path(model))
     record = read_run(folder)
-    poses = _poses(folder / "poses.csv")
+    poses = poses_of(record)
     stream = recording_of(record)
     if options.on_marker is None:
         model_pose, segment = _model_pose(poses, options, record)
@@ -175,29 +170,8 @@ def render(
     return Rendered(target, count, painter.with_model, (x, y, z), record.unit)
 
 
-def _poses(path: Path) -> dict[int, _Pose]:
-    """Segment and pose of each frame."""
-    try:
-        rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
-        found = {
-            int(row["frame"]): _Pose(
-                int(row["segment"]),
-                make_transform(
-                    rotation_from_quat_xyzw(np.array([float(row[f"q{a}"]) for a in "xyzw"])),
-                    np.array([float(row[f"t{a}"]) for a in "xyz"]),
-                ),
-            )
-            for row in rows
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
-    if not found:
-        raise SourceError(f"{path} has no pose; the run has no path")
-    return found
-
-
 def _model_pose(
-    poses: dict[int, _Pose], options: RenderOptions, record: RunRecord
+    poses: dict[int, FramePose], options: RenderOptions, record: RunRecord
 ) -> tuple[ModelPose, int]:
     """Where the model stands, and the segment whose world that is."""
     first = min(poses)
@@ -208,7 +182,7 @@ def _model_pose(
         raise ConfigError(f"a model {distance:g} in front of the camera cannot be seen; give `at`")
     if options.size is not None and not 0.0 < options.size < np.inf:
         raise ConfigError(f"`size` is {options.size:g}; give a length above 0")
-    segment, world_from_cam = poses[frame]
+    segment, world_from_cam, _ = poses[frame]
     foot = world_from_cam[:3, :3] @ (0.0, _BELOW_RATIO * distance, distance) + world_from_cam[:3, 3]
     if options.at is not None:
         foot = np.array(options.at)
@@ -243,7 +217,7 @@ def _on_marker(folder: Path, number: int, options: RenderOptions) -> tuple[Model
     return ModelPose(place, size, options.up, world_from_marker=world_from_marker), segment
 
 
-def _path_length(poses: dict[int, _Pose], first: int) -> float:
+def _path_length(poses: dict[int, FramePose], first: int) -> float:
     """Length of the path of the first frame's segment."""
     segment = poses[first].segment
     chosen = [poses[n].world_from_cam0[:3, 3] for n in sorted(poses) if poses[n].segment == segment]
@@ -261,7 +235,7 @@ class _Painter:
         self._shade = shading(vertices, mesh.triangles)
 
     def images(
-        self, stream: Recording, frames: Sequence[int], poses: dict[int, _Pose]
+        self, stream: Recording, frames: Sequence[int], poses: dict[int, FramePose]
     ) -> Iterator[Bytes]:
         """Images of frames with a pose, with the model."""
         step = min(np.diff(frames).tolist(), default=1)
@@ -273,7 +247,7 @@ class _Painter:
                 image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
             yield self._painted(image, poses[frame.index])
 
-    def _painted(self, image: Bytes, pose: _Pose) -> Bytes:
+    def _painted(self, image: Bytes, pose: FramePose) -> Bytes:
         if pose.segment != self._segment:
             return image
         cam_from_world = inverse(pose.world_from_cam0)

@@ -1,0 +1,178 @@
+"""`vo dense` on rendered recordings with true depth, and its files as others read them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import vo
+from vo.cli.app import app
+from vo.recordings.formats.calibration.nerf import read_nerf_poses
+from vo.recordings.formats.mesh import read_mesh
+from vo.tools.dense import dense as dense_module
+
+POINT = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A walk in a room, two cameras, with true depth."""
+    folder = tmp_path_factory.mktemp("dense") / "room"
+    words: dict[str, Any] = {"world": "room", "motion": "handheld", "camera": "pinhole"}
+    vo.synth(folder, seconds=4.0, fps=10.0, depth=True, overrides=["scale=0.5"], **words)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def stereo(room: Path) -> Path:
+    vo.run(room, room.parent / "stereo", imu=False)
+    return room.parent / "stereo"
+
+
+def points_of(path: Path) -> Any:
+    return np.frombuffer(path.read_bytes().split(b"end_header\n", 1)[1], POINT)
+
+
+def depth_errors(folder: Path, room: Path, scale: float = 1.0) -> Any:
+    """Relative errors of all depths that were written."""
+    stamps = vo.open(room).stamps_ns  # type: ignore[union-attr]
+    errors = []
+    for path in sorted((folder / "depth").iterdir()):
+        found = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) * scale
+        true = cv2.imread(str(room / "depth" / f"{stamps[int(path.stem)]}.tiff"), -1)
+        known = (found > 0) & np.isfinite(true) & (true > 0)
+        errors.append(found[known] / true[known] - 1.0)
+    return np.abs(np.concatenate(errors))
+
+
+def test_two_cameras(room: Path, stereo: Path, tmp_path: Path) -> None:
+    options = vo.DenseOptions(far=5.0, depth=True, nerfstudio=tmp_path / "nerf")
+    done = vo.dense(stereo, tmp_path / "out", options=options)
+    assert done.unit == "m" and done.coverage > 0.5 and done.ground_found
+    errors = depth_errors(tmp_path / "out", room)
+    assert np.median(errors) < 0.02 and np.mean(errors > 0.1) < 0.05
+    cloud = points_of(tmp_path / "out" / "cloud.ply")
+    assert len(cloud) == done.points > 10_000
+    mesh = read_mesh(tmp_path / "out" / "mesh.ply")
+    assert len(mesh.triangles) == done.triangles > 10_000
+    # The grid as a map server reads it: occupied where dark, the camera's place is free.
+    header = yaml.safe_load((tmp_path / "out" / "map.yaml").read_text())
+    image = cv2.imread(str(tmp_path / "out" / header["image"]), cv2.IMREAD_GRAYSCALE)
+    occupied = (255 - image.astype(float)) / 255 > header["occupied_thresh"]
+    free = (255 - image.astype(float)) / 255 < header["free_thresh"]
+    assert occupied.sum() > 100 and free.sum() > 100
+    posed = read_nerf_poses(tmp_path / "nerf" / "transforms.json")
+    assert len(posed) == done.keyframes
+    assert len(list((tmp_path / "nerf" / "images").iterdir())) == done.keyframes
+    summary = json.loads((tmp_path / "out" / "dense.json").read_text())
+    assert summary["points"] == done.points and len(summary["ground_from_world"]) == 4
+
+
+def test_one_camera_is_compared_with_itself(room: Path, tmp_path: Path) -> None:
+    vo.run(room, tmp_path / "mono", mode="mono", imu=False)
+    result = vo.evaluate(tmp_path / "mono", room, align="sim3")
+    options = vo.DenseOptions(depth=True, mesh=False, grid=False)
+    done = vo.dense(tmp_path / "mono", options=options)
+    assert done.unit == "map units" and done.triangles == 0
+    assert b"lengths in map units" in (tmp_path / "mono" / "dense" / "cloud.ply").read_bytes()[:200]
+    errors = depth_errors(
+        tmp_path / "mono" / "dense", room, result.alignment.reference_from_estimate.scale
+    )
+    assert np.median(errors) < 0.02 and len(errors) > 50_000
+
+
+def test_a_depth_camera(room: Path, tmp_path: Path) -> None:
+    words: dict[str, Any] = {"world": "room", "motion": "handheld", "camera": "pinhole"}
+    vo.synth(tmp_path / "rgbd", to="tum", mono=True, seconds=1.5, overrides=["scale=0.4"], **words)
+    vo.run(tmp_path / "rgbd", tmp_path / "run")
+    done = vo.dense(tmp_path / "run", options=vo.DenseOptions(far=6.0, grid=False))
+    assert done.unit == "m" and done.coverage > 0.6
+
+
+def test_a_broken_off_call_goes_on_and_gives_the_same_bytes(
+    stereo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vo.dense(stereo, tmp_path / "whole", options=vo.DenseOptions(edge=0.05))
+
+    class Broken(Exception):
+        pass
+
+    def stop(done: int, total: int) -> None:
+        if done >= 4:
+            raise Broken
+
+    with pytest.raises(Broken):
+        vo.dense(stereo, tmp_path / "parts", options=vo.DenseOptions(edge=0.05), progress=stop)
+    kept = list((tmp_path / "parts" / dense_module._WORK).glob("*.npz"))
+    assert 3 <= len(kept) <= 8 and not (tmp_path / "parts" / "cloud.ply").exists()
+    before = {path.name: path.stat().st_mtime_ns for path in kept}
+    seen: list[int] = []
+
+    def look(done: int, total: int) -> None:
+        if not seen:
+            now = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "parts").rglob("*.npz")}
+            assert before.items() <= now.items()
+        seen.append(done)
+
+    vo.dense(stereo, tmp_path / "parts", options=vo.DenseOptions(edge=0.05), progress=look)
+    for name in ("cloud.ply", "mesh.ply", "map.pgm", "above.png"):
+        assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    assert not (tmp_path / "parts" / dense_module._WORK).exists()
+
+
+def test_las_and_rerun(stereo: Path, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("rerun")
+    outputs = {"las": tmp_path / "a.laz", "rrd": tmp_path / "a.rrd"}
+    done = vo.dense(stereo, tmp_path / "out", options=vo.DenseOptions(edge=0.05, **outputs))
+    points = laspy.read(tmp_path / "a.laz")
+    assert points.header.point_count == done.points
+    cloud = points_of(tmp_path / "out" / "cloud.ply")
+    assert np.abs(np.column_stack([points.x, points.y, points.z]) - cloud["xyz"]).max() < 1e-3
+    assert (np.asarray(points.red) // 257 == cloud["rgb"][:, 0]).all()
+    assert (tmp_path / "a.rrd").stat().st_size > 10_000
+
+
+def test_the_command_and_the_report(stereo: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(stereo, tmp_path / "run"))
+    call = ["dense", str(run), "--no-mesh", "--band", "0.1,1", "--cell", "0.1", "--json"]
+    result = CliRunner().invoke(app, call)
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    assert said["output"] == str(run / "dense") and said["triangles"] == 0
+    pytest.importorskip("matplotlib")
+    page = vo.report(run, images=False).read_text()
+    assert page.count('alt="Cloud of points') == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--band", "high"], "--band is high; give two heights, such as 0.15,1.8"),
+        (["--band", "2,1"], "--band is 2 to 1; give a lower and a higher height"),
+        (["--edge", "0"], "--edge is 0; give a length above 0"),
+        (["--far", "nan"], "--far is nan; give a length above 0"),
+        (["--segment", "7"], "has no segment 7; it has 0"),
+        (["--las", "a.txt"], "give a name that ends in .las or .laz"),
+        (["/nowhere"], "/nowhere"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    stereo: Path, tmp_path: Path, words: list[str], message: str
+) -> None:
+    result = CliRunner().invoke(app, ["dense", str(stereo), "-o", str(tmp_path / "x"), *words])
+    assert result.exit_code == 1 and message in " ".join(result.output.split())
+    assert result.output.count("\n") == 1
+
+
+def test_a_folder_without_a_run(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["dense", str(tmp_path)])
+    assert result.exit_code == 1 and "has no summary.json" in " ".join(result.output.split())

@@ -1,0 +1,1 @@
+"""Dense output of a finished run: depth of its keyframes, clouds, meshes and grids."""

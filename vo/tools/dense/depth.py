@@ -1,0 +1,86 @@
+"""Depth of a keyframe, as inverse depth, whose errors are alike at all distances.
+
+A stereo pair is matched by semi-global matching (Hirschmüller, "Stereo processing by semiglobal
+matching and mutual information", PAMI 2008), by OpenCV. A depth camera has measured it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.base.geometry.rectification import RectifiedRig
+from vo.base.types import Floats32
+from vo.tools.dense.keyframes import KeyframeImages
+
+MAX_ERROR = 0.025  # relative standard deviation of the farthest depth of a single keyframe
+SIGMA_PX = 0.25  # of a disparity where the surface has texture, on rendered rooms and streets
+_BLOCK_PX = 5
+_SIXTEENTHS = 16  # of a pixel, the unit of OpenCV's disparities
+_RANGE = 0.2  # of the image's width, the largest disparity
+_SPECKLE_PX, _SPECKLE_STEP_PX = 100, 2  # smaller regions of one depth are left out
+_UNIQUENESS_PERCENT = 10
+_SENSOR_SIGMA_PX = 0.4  # of a depth camera, at the baseline that stands for it
+
+
+class DepthMap(NamedTuple):
+    """What a keyframe sees.
+
+    Attributes:
+        inverse: (H, W) 1 / z in the camera, 0 where unknown.
+        sigma: standard deviation of it.
+    """
+
+    inverse: Floats32
+    sigma: float
+
+
+class StereoDepth:
+    """Depth of rectified pairs."""
+
+    def __init__(self, rig: RectifiedRig) -> None:
+        self._rig = rig
+        reach = int(np.ceil(_RANGE * rig.width / _SIXTEENTHS)) * _SIXTEENTHS
+        area = _BLOCK_PX * _BLOCK_PX
+        self._matcher = cv2.StereoSGBM.create(
+            minDisparity=0,
+            numDisparities=reach,
+            blockSize=_BLOCK_PX,
+            P1=8 * area,
+            P2=32 * area,
+            disp12MaxDiff=1,
+            preFilterCap=63,
+            uniquenessRatio=_UNIQUENESS_PERCENT,
+            speckleWindowSize=_SPECKLE_PX,
+            speckleRange=_SPECKLE_STEP_PX,
+            mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+        )
+
+    def __call__(self, images: KeyframeImages) -> DepthMap:
+        """Depth of a pair; unknown everywhere if it has no right image."""
+        rig = self._rig
+        scale = np.float32(1.0 / (rig.fx * rig.baseline_m))
+        if images.right is None:
+            return DepthMap(np.zeros(images.left.shape, np.float32), SIGMA_PX * float(scale))
+        found = self._matcher.compute(images.left, images.right)
+        disparity = found.astype(np.float32) * np.float32(1.0 / _SIXTEENTHS)
+        known = disparity > 0
+        if rig.disparity_offset_px or rig.disparity_curve_px:
+            u = np.arange(rig.width, dtype=np.float64)[None] - disparity
+            disparity = (disparity - rig.disparity_error(u)).astype(np.float32)
+        inverse = np.where(known & (disparity > 0), disparity * scale, np.float32(0))
+        return DepthMap(inverse.astype(np.float32), SIGMA_PX * float(scale))
+
+
+def measured_depth(images: KeyframeImages, rig: RectifiedRig) -> DepthMap:
+    """What a depth camera has measured."""
+    depth = images.depth
+    sigma = _SENSOR_SIGMA_PX / (rig.fx * rig.baseline_m)
+    if depth is None:
+        return DepthMap(np.zeros(images.left.shape, np.float32), sigma)
+    known = np.isfinite(depth) & (depth > 0)
+    inverse = np.zeros(depth.shape, np.float32)
+    np.divide(np.float32(1), depth, out=inverse, where=known)
+    return DepthMap(inverse, sigma)

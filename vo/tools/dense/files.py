@@ -1,0 +1,179 @@
+"""Files of dense results, for other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from vo.base.extras import require
+from vo.base.files.complete_file import complete_file, writing
+from vo.base.types import Bytes, Floats
+from vo.recordings.formats.mesh import Mesh
+from vo.tools.dense.cloud import Cloud
+from vo.tools.dense.ground import Grid
+from vo.tools.drawing import write_picture
+
+_POINT = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
+_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+_FACE = np.dtype([("n", "u1"), ("rows", "<i4", 3)])
+_OPENGL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
+_LAS_RGB_FORMAT, _LAS_VERSION = 2, "1.2"
+LAS_SUFFIXES = (".las", ".laz")
+_PICTURE_PX, _MARGIN_PX = 900, 20
+_PATH_BGR = 0, 94, 213
+
+
+def write_cloud(path: Path, cloud: Cloud, comment: str) -> None:
+    """Write points as PLY, or as LAS or LAZ by the suffix.
+
+    Raises:
+        OutputError: the file cannot be written.
+        MissingExtraError: LAS needs the extra `las`.
+    """
+    if path.suffix.lower() in LAS_SUFFIXES:
+        _write_las(path, cloud, comment)
+        return
+    rows = np.zeros(len(cloud.xyz), _POINT)
+    rows["xyz"], rows["normal"], rows["rgb"] = cloud.xyz, cloud.normal, cloud.rgb
+    names = ("x", "y", "z", "nx", "ny", "nz")
+    properties = [f"float {name}" for name in names] + _COLOURS
+    _write_ply(path, comment, [("vertex", properties, rows)])
+
+
+def write_mesh(path: Path, mesh: Mesh, comment: str) -> None:
+    """Write triangles as PLY.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    vertices = np.zeros(len(mesh.vertices), _VERTEX)
+    vertices["xyz"], vertices["rgb"] = mesh.vertices, mesh.rgb
+    faces = np.zeros(len(mesh.triangles), _FACE)
+    faces["n"], faces["rows"] = 3, mesh.triangles
+    properties = [f"float {name}" for name in "xyz"] + _COLOURS
+    parts = [("vertex", properties, vertices)]
+    _write_ply(path, comment, [*parts, ("face", ["list uchar int vertex_indices"], faces)])
+
+
+_COLOURS = [f"uchar {name}" for name in ("red", "green", "blue")]
+
+
+def _write_ply(path: Path, comment: str, parts: list[tuple[str, list[str], Any]]) -> None:
+    lines = ["ply", "format binary_little_endian 1.0", f"comment {' '.join(comment.split())}"]
+    for element, properties, rows in parts:
+        lines.append(f"element {element} {len(rows)}")
+        lines += [f"property {each}" for each in properties]
+    with writing(path), complete_file(path) as file:
+        file.write("\n".join([*lines, "end_header", ""]).encode("ascii", "replace"))
+        for _, _, rows in parts:
+            file.write(rows.tobytes())
+
+
+def _write_las(path: Path, cloud: Cloud, comment: str) -> None:
+    laspy = require("laspy", "las", "LAS files")
+    header = laspy.LasHeader(point_format=_LAS_RGB_FORMAT, version=_LAS_VERSION)
+    header.offsets = np.floor(cloud.xyz.min(axis=0)) if len(cloud.xyz) else np.zeros(3)
+    header.scales = np.full(3, 1e-3)
+    header.system_identifier = comment[:32]
+    header.generating_software = "vo"
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = cloud.xyz.T
+    data.red, data.green, data.blue = cloud.rgb.T.astype(np.uint16) * 257
+    with writing(path), complete_file(path) as file:
+        data.write(file, do_compress=path.suffix.lower() == ".laz")
+
+
+def write_grid(folder: Path, grid: Grid, comment: str) -> list[Path]:
+    """Write `map.pgm` and `map.yaml`, as ROS' map server reads them.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    picture, description = folder / "map.pgm", folder / "map.yaml"
+    rows, columns = grid.cells.shape
+    x, y = grid.origin
+    text = (
+        f"# {' '.join(comment.split())}\nimage: {picture.name}\nmode: trinary\n"
+        f"resolution: {grid.edge:g}\norigin: [{x:.6g}, {y:.6g}, 0.0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    with writing(picture), complete_file(picture) as file:
+        file.write(f"P5\n{columns} {rows}\n255\n".encode() + grid.cells.tobytes())
+    with writing(description), complete_file(description) as file:
+        file.write(text.encode())
+    return [picture, description]
+
+
+def write_views(folder: Path, points: Floats, rgb: Bytes, path: Floats) -> list[Path]:
+    """Pictures of points (N, 3), z up, and a path (K, 3): from above, and from four sides.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    above, around = folder / "above.png", folder / "turntable.png"
+    write_picture(above, _view(points, rgb, path, 0.0, 90.0, _PICTURE_PX))
+    views = [_view(points, rgb, path, 90.0 * k, 35.0, _PICTURE_PX // 2) for k in range(4)]
+    write_picture(around, np.vstack([np.hstack(views[:2]), np.hstack(views[2:])]))
+    return [above, around]
+
+
+def _view(
+    points: Floats, rgb: Bytes, path: Floats, turn_deg: float, raise_deg: float, size: int
+) -> Bytes:
+    """A parallel projection (size, size, 3) BGR, turned about z, from so far above the horizon."""
+    (c, s), (up, down) = (
+        (np.cos(angle), np.sin(angle)) for angle in np.deg2rad((turn_deg, 90.0 - raise_deg))
+    )
+    turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, up, down], [0.0, -down, up]]) @ turned
+    seen, line = points @ rotation.T, path @ rotation.T
+    low, high = (np.percentile(seen[:, :2], share, axis=0) for share in (0.5, 99.5))
+    low, high = np.minimum(low, line[:, :2].min(axis=0)), np.maximum(high, line[:, :2].max(axis=0))
+    scale = (size - 2 * _MARGIN_PX) / max(float((high - low).max()), 1e-9)
+    offset = 0.5 * (size - scale * (low + high))
+    picture = np.full((size, size, 3), 255, np.uint8)
+    order = np.argsort(seen[:, 2], kind="stable")  # the nearest last
+    at = np.floor(seen[order, :2] * scale + offset).astype(np.int64)
+    inside = ((at >= 0) & (at < size)).all(axis=1)
+    picture[at[inside, 1], at[inside, 0]] = rgb[order][inside][:, ::-1]
+    drawn = np.round(line[:, :2] * scale + offset).astype(np.int32)
+    cv2.polylines(picture, [drawn], False, _PATH_BGR, 2, cv2.LINE_AA)
+    return np.ascontiguousarray(picture[::-1])
+
+
+def write_rrd(path: Path, name: str, cloud: Cloud, mesh: Mesh | None, centres: Floats) -> None:
+    """Write the cloud, the mesh and the path (K, 3) for rerun.
+
+    Raises:
+        OutputError: the file cannot be written.
+        MissingExtraError: it needs the extra `view`.
+    """
+    require("rerun", "view", "recordings for rerun")
+    from vo.outputs.recorders.dense_recording import record_dense
+
+    record_dense(path, name, (cloud.xyz, cloud.rgb), mesh, centres)
+
+
+def nerf_transforms(
+    size: tuple[int, int], camera: Floats, images: list[tuple[str, Floats]], unit: str, cloud: str
+) -> str:
+    """`transforms.json` of nerfstudio: `camera` fx, fy, cx, cy; images and their world_from_cam.
+
+    Its pixels have (0, 0) at the corner of the top-left pixel, its cameras y up and z back.
+    """
+    fx, fy, cx, cy = (float(value) for value in camera)
+    frames = [
+        {"file_path": name, "transform_matrix": (pose @ _OPENGL_FROM_CV).tolist()}
+        for name, pose in images
+    ]
+    content = {
+        "camera_model": "OPENCV",
+        **{"fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5, "w": size[0], "h": size[1]},
+        **{"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0},
+        **{"length_unit": unit, "ply_file_path": cloud, "frames": frames},
+    }
+    return json.dumps(content, indent=2) + "\n"

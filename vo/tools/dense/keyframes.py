@@ -1,0 +1,115 @@
+"""Keyframes of a run with their images, as those of ideal pinhole cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from vo.base.errors import ConfigError
+from vo.base.geometry.rectification import RectifiedRig, rectified_rig
+from vo.base.geometry.rectification_maps import wide_maps
+from vo.base.types import Bytes, Floats, Floats32, Frame
+from vo.outputs.report.run_folder import RunRecord
+from vo.recordings.sources.source import Recording
+from vo.tools.reopening import poses_of, recording_of
+
+
+class KeyframeImages(NamedTuple):
+    """A keyframe.
+
+    Attributes:
+        frame: its number in the recording.
+        stamp_ns: its time.
+        world_from_cam: (4, 4) pose of the pinhole camera of `left`.
+        left: (H, W) grey.
+        right: (H, W) grey, rows as in `left`; None with one camera.
+        rgb: (H, W, 3) of `left`, grey if the recording is.
+        depth: (H, W) that a depth camera measured, 0 where unknown; None without one.
+    """
+
+    frame: int
+    stamp_ns: int
+    world_from_cam: Floats
+    left: Bytes
+    right: Bytes | None
+    rgb: Bytes
+    depth: Floats32 | None
+
+
+class RunKeyframes:
+    """Keyframes of one segment of a run, in time order.
+
+    `segment`: its number, None for the one with most keyframes: what lies between segments is
+    unknown, so that they cannot share a cloud.
+
+    Raises:
+        SourceError: the run or its recording is missing or damaged.
+        ConfigError: the run has no such segment.
+    """
+
+    def __init__(self, record: RunRecord, source: str | None, segment: int | None) -> None:
+        poses = {k: pose for k, pose in poses_of(record).items() if pose.is_keyframe}
+        counts: dict[int, int] = {}
+        for pose in poses.values():
+            counts[pose.segment] = counts.get(pose.segment, 0) + 1
+        if segment is not None and segment not in counts:
+            numbers = ", ".join(map(str, sorted(counts)))
+            raise ConfigError(f"{record.path} has no segment {segment}; it has {numbers}")
+        self.segment = max(counts, key=lambda k: counts[k]) if segment is None else segment
+        self.segments = len(counts)
+        self._stream: Recording = recording_of(record, source)
+        self.rig = _rig_of_run(self._stream, record)
+        to_pinhole = self.rig.cam0_from_rectified
+        chosen = {k: pose for k, pose in sorted(poses.items()) if pose.segment == self.segment}
+        self.frames = list(chosen)
+        self.world_from_cam = np.stack([p.world_from_cam0 @ to_pinhole for p in chosen.values()])
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def images(self, first: int = 0) -> Iterator[tuple[int, KeyframeImages]]:
+        """Keyframes from row `first` on, with their rows, but those that cannot be read."""
+        row = first
+        stride = int(np.gcd.reduce(np.diff(self.frames))) if len(self.frames) > 1 else 1
+        stream = self._stream.frames(self.frames[first], self.frames[-1] + 1, stride, "colour")
+        for frame in stream:
+            while row < len(self.frames) and self.frames[row] < frame.index:
+                row += 1
+            if row < len(self.frames) and self.frames[row] == frame.index:
+                yield row, self._images(frame, self.world_from_cam[row])
+
+    def _images(self, frame: Frame, world_from_cam: Floats) -> KeyframeImages:
+        rig = self.rig
+        left = rig.rectify(frame.image0, 0)
+        right = None if frame.image1 is None else rig.rectify(frame.image1, 1)
+        depth = None if frame.depth is None else rig.rectify_depth(frame.depth)
+        pair = _grey(left), None if right is None else _grey(right)
+        return KeyframeImages(frame.index, frame.stamp_ns, world_from_cam, *pair, _rgb(left), depth)
+
+
+def _rig_of_run(stream: Recording, record: RunRecord) -> RectifiedRig:
+    """The pinhole cameras of the recording, with the disparities' errors that the run has found."""
+    rig = rectified_rig(stream.rig)
+    if rig.lens is not None:
+        size = rig.width, rig.height
+        maps = wide_maps(rig.lens, np.eye(3), rig.matrix, size), None
+        rig = replace(rig, lens=None, maps=maps)
+    offset, curve = (
+        float(record.summary.get(f"disparity_{k}_px") or 0.0) for k in ("offset", "curve")
+    )
+    return replace(rig, disparity_offset_px=offset, disparity_curve_px=curve)
+
+
+def _grey(image: Bytes) -> Bytes:
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+def _rgb(image: Bytes) -> Bytes:
+    code = cv2.COLOR_GRAY2RGB if image.ndim == 2 else cv2.COLOR_BGR2RGB
+    return np.asarray(cv2.cvtColor(image, code), np.uint8)

@@ -1,0 +1,69 @@
+"""Depths of keyframes on disk, until all are fused."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from vo.base.errors import SourceError
+from vo.base.files.complete_file import complete_file, writing
+from vo.tools.dense.depth import DepthMap
+
+_STEPS_PER_SIGMA = 8  # of inverse depths as they are stored
+
+
+class DepthStore:
+    """Depths of keyframes on disk, 16 bits each, so that a broken-off run can go on.
+
+    `folder`: what another version or another run has left there is removed.
+    """
+
+    def __init__(self, folder: Path, fingerprint: str) -> None:
+        self._folder = folder
+        stamp = folder / "of"
+        with writing(folder):
+            if folder.is_dir() and not (stamp.is_file() and stamp.read_text() == fingerprint):
+                shutil.rmtree(folder)
+            folder.mkdir(exist_ok=True)
+            stamp.write_text(fingerprint)
+
+    def has(self, row: int) -> bool:
+        """Whether the depth of a keyframe is there."""
+        return self._path(row).is_file()
+
+    def save(self, row: int, depth: DepthMap) -> None:
+        """Store the depth of a keyframe."""
+        step = depth.sigma / _STEPS_PER_SIGMA
+        whole = np.clip(np.rint(depth.inverse / np.float32(step)), 0, 65535).astype(np.uint16)
+        path = self._path(row)
+        with writing(path), complete_file(path) as file:
+            np.savez(file, png=cv2.imencode(".png", whole)[1], sigma=depth.sigma)
+
+    def load(self, row: int) -> DepthMap:
+        """The depth of a keyframe.
+
+        Raises:
+            SourceError: the file is damaged.
+        """
+        path = self._path(row)
+        try:
+            with np.load(path) as data:
+                sigma = float(data["sigma"])
+                whole = np.asarray(cv2.imdecode(data["png"], cv2.IMREAD_UNCHANGED), np.uint16)
+        except (OSError, ValueError, KeyError, EOFError, TypeError, cv2.error) as error:
+            raise SourceError(f"{path} is damaged; remove {self._folder} and run again") from error
+        return DepthMap(whole.astype(np.float32) * np.float32(sigma / _STEPS_PER_SIGMA), sigma)
+
+    def rows(self, count: int) -> list[int]:
+        """Keyframes of `count` whose depth is there."""
+        return [row for row in range(count) if self.has(row)]
+
+    def remove(self) -> None:
+        """Remove everything."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _path(self, row: int) -> Path:
+        return self._folder / f"{row:06d}.npz"
