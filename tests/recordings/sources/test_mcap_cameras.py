@@ -26,7 +26,7 @@ from mcap.writer import Writer
 from mcap_logs import DIALECTS, write_log
 from rosbags.typesys import Stores, get_typestore
 
-from vo.base.errors import CalibrationError, SourceError
+from vo.base.errors import CalibrationError, NoCalibration, SourceError
 from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Camera
 from vo.recordings.formats.messages import (
@@ -38,6 +38,7 @@ from vo.recordings.formats.messages import (
 )
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.uncalibrated import open_uncalibrated
 
 
 @pytest.mark.parametrize(
@@ -69,6 +70,25 @@ def test_error_without_calibration_lists_the_topics(tmp_path: Path) -> None:
     layouts.write_text(tmp_path / "mine.yaml", layouts.CALIBRATION)
     rig = open_source(path, calibration=tmp_path / "mine.yaml").rig
     assert rig.cam0.fx == layouts.INTRINSICS[0]
+
+
+def test_one_camera_without_any_calibration_can_be_estimated(tmp_path: Path) -> None:
+    one = log(tmp_path, images("/camera/image", "a"))
+    with pytest.raises(NoCalibration, match="no calibration for /camera/image"):
+        open_source(one)
+    assert open_uncalibrated(one, mode="mono").rig.cam0.width == LENS.width
+    unset = replace(LENS, fx=0.0, fy=0.0, cx=0.0, cy=0.0, distortion_model="none", distortion=())
+    path = log(
+        tmp_path, images("/camera/image", "a"), calibration("/camera/camera_info", "a", unset)
+    )
+    with pytest.raises(NoCalibration, match="never calibrated"):
+        open_source(path)
+    pair = log(tmp_path, images("/cam0/image", "a"), images("/cam1/image", "b"))
+    with pytest.raises(CalibrationError) as caught:
+        open_source(pair)
+    assert not isinstance(caught.value, NoCalibration)
+    with pytest.raises(NoCalibration):
+        open_source(pair, mode="mono")
 
 
 def test_baseline_through_intermediate_frames(tmp_path: Path) -> None:

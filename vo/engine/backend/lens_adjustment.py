@@ -32,8 +32,8 @@ _CONVERGED = 1e-5  # relative decrease of the cost
 _FIRST_DAMPING, _DAMPING_FACTOR, _MAX_DAMPING = 1e-3, 8.0, 1e4
 _MAX_LOG_FOCAL = 0.2  # step of the logarithm of the focal length
 # Of real lenses k2 is some 1.2 times the square of k1: as an unknown of its own it would take the
-# place of the focal length where the scene is far away or nearly plane.
-_K1_SIGMA, _K2_RATIO, _K2_SPREAD, _K2_SIGMA = 0.5, 1.2, 0.35, 2e-4
+# place of the focal length where the scene is far away or nearly plane. Rectified images keep 0.01.
+_K1_SIGMA, _K2_RATIO, _K2_SPREAD, _K2_SIGMA = 0.5, 1.2, 0.35, 0.01
 _MIN_SLOPE = 0.15  # of the distorted radius, below which a lens cannot be undone
 _HARDLY = 1e3  # factor on the standard deviation of pixels there
 _CENTRE_SIGMA = 0.01  # of the principal point, in image widths
@@ -138,13 +138,10 @@ def _converged(
     at: AdjustedLens, sigma: Floats, config: SmoothingConfig, columns: tuple[int, ...]
 ) -> AdjustedLens:
     """Iterate by Levenberg and Marquardt, with constant weights of observations."""
-    damping = _FIRST_DAMPING
+    damping, bundle = _FIRST_DAMPING, Bundle(_problem(at, sigma), _all_ok(at.views), config)
+    cost, at = bundle.cost(at.views.world_from_cam), _with_points(at, bundle)
     for _ in range(_STEPS):
         problem = _problem(at, sigma)
-        bundle = Bundle(problem, _all_ok(at.views), config)
-        cost = bundle.cost(at.views.world_from_cam)
-        points = bundle.points_for(at.views.world_from_cam)
-        at = at._replace(views=replace(at.views, points=points))
         hessian, gradient = _chosen(_normal_equations(at, problem, config), columns)
         while True:
             damped = hessian + damping * np.diag(np.diag(hessian))
@@ -152,17 +149,24 @@ def _converged(
             trial = _moved(
                 at, step[: -len(columns)], dict(zip(columns, step[-len(columns) :], strict=True))
             )
-            again = Bundle(_problem(trial, sigma), _all_ok(at.views), config)
-            trial_cost = again.cost(trial.views.world_from_cam)
+            bundle = Bundle(_problem(trial, sigma), _all_ok(at.views), config)
+            trial_cost = bundle.cost(trial.views.world_from_cam)
             if trial_cost < cost:
                 break
             damping *= _DAMPING_FACTOR
             if not damping < _MAX_DAMPING:
                 return at
-        at, damping = trial, damping / _DAMPING_FACTOR
-        if cost - trial_cost < _CONVERGED * cost:
+        at, damping = _with_points(trial, bundle), damping / _DAMPING_FACTOR
+        decrease, cost = cost - trial_cost, trial_cost
+        if decrease < _CONVERGED * cost:
             break
     return at
+
+
+def _with_points(at: AdjustedLens, bundle: Bundle) -> AdjustedLens:
+    """The same with the landmarks of its poses."""
+    points = bundle.points_for(at.views.world_from_cam)
+    return at._replace(views=replace(at.views, points=points))
 
 
 def _normal_equations(

@@ -15,6 +15,7 @@ from vo.recordings.sources.assembly import RecordingContents, assemble
 from vo.recordings.sources.listing import Shot
 from vo.recordings.sources.logs.choice import choose_topics
 from vo.recordings.sources.logs.images import list_images
+from vo.recordings.sources.logs.imu import imu_topics, log_imus
 from vo.recordings.sources.registry import FORMATS, choose_format, gather, open_container
 from vo.recordings.sources.sequence import ImageSequence
 from vo.recordings.sources.side_by_side import not_side_by_side, split_side_by_side
@@ -72,6 +73,7 @@ def _gather_log(path: Path, name: str, mode: Mode, topics: Sequence[str]) -> Rec
         left=left,
         right=others[0] if others else None,
         calibrate=lambda size: Calibration(_placeholder(size, None)),
+        find_imus=lambda _: log_imus(log, imu_topics(log.topics, choice.imu), lambda _: None),
     )
 
 

@@ -210,7 +210,8 @@ def _open_log(
     try:
         source = open_log(log, name, calibration, mode, requested_topics, right_offset_ns)
     except VoError as error:
-        return replace(found, refusal=str(error))
+        is_unknown = isinstance(error, NoCalibration)
+        return replace(found, refusal=str(error), has_unknown_camera=is_unknown)
     return replace(
         found,
         source=source,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from vo.base.errors import CalibrationError, VoError
+from vo.base.errors import CalibrationError, NoCalibration, VoError
 from vo.base.faults import Fault
 from vo.base.types import Floats, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize, read_calibration
@@ -107,8 +107,12 @@ class ChosenLog:
 
     def calibration_of_log(self, mode: Mode) -> Calibration:
         """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
-        left = self._camera(self._choice.left)
-        if self._choice.right is None or mode == "mono":
+        is_one = self._choice.right is None or mode == "mono"
+        try:
+            left = self._camera(self._choice.left)
+        except NoCalibration as error:  # of one camera it can be estimated
+            raise error if is_one else CalibrationError(str(error)) from error
+        if self._choice.right is None or is_one:
             return Calibration(Rig(left.camera), depth_per_metre=DEPTH_UNITS_PER_METRE)
         try:
             right = self._camera(self._choice.right)

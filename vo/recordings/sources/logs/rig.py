@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vo.base.errors import CalibrationError, VoError
+from vo.base.errors import CalibrationError, NoCalibration, VoError
 from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Floats
 from vo.recordings.formats.calibration.checks import check_baseline, checks_log, matrix_camera
@@ -78,7 +78,8 @@ def find_camera(
         except VoError as error:
             if topic in by_name:
                 advice = "" if "calibration=" in str(error) else f"; {_ADVICE}"
-                raise CalibrationError(f"{topic.name}: {error}{advice}") from error
+                kind = NoCalibration if UNCALIBRATED in str(error) else CalibrationError
+                raise kind(f"{topic.name}: {error}{advice}") from error
             reason = reason or f"; {topic.name}: {error}"
             continue
         if topic in by_name or (frame and _usual(messages).frame == frame):
@@ -97,7 +98,8 @@ def find_camera(
         _warn_of_changes(topic, found, messages)
         return LogCamera(image.name, frame or found.frame, found, "rect" in last)
     known = ", ".join(topic.name for topic in calibrations) or "none"
-    raise CalibrationError(
+    missing = CalibrationError if calibrations else NoCalibration
+    raise missing(
         f"no calibration for {image.name} in the log (topics with calibrations: {known}{reason}); "
         f"{_ADVICE} (format: docs/calibration.md)"
     )
