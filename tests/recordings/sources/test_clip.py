@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+import av
 import cv2
 import layouts
 import numpy as np
@@ -120,6 +121,27 @@ def test_focal_length_of_a_photograph(tmp_path: Path) -> None:
     assert hint.told_by == "EXIF: 26 mm of 35 mm film"
     path = photograph(tmp_path / "b.jpg", (425, 100), 0)
     assert not camera_hint(tmp_path, ImageFile(path), (4000, 3000)).is_known  # pixels per mm?
+
+
+@pytest.mark.parametrize("name", ["IMG_0042.mov", "copy.mp4"])
+def test_focal_length_of_an_iphone(tmp_path: Path, name: str) -> None:
+    clip = tmp_path / name
+    with av.open(str(clip), "w", options={"movflags": "use_metadata_tags"}) as container:
+        container.metadata["com.apple.quicktime.camera.focal_length.35mm_equivalent"] = "26"
+        container.metadata["com.apple.quicktime.model"] = "iPhone 15 Pro"
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = layouts.WIDTH, layouts.HEIGHT, "yuv420p"
+        for n in range(3):
+            frame = av.VideoFrame.from_ndarray(video_files.picture(n), format="gray")
+            container.mux(stream.encode(frame.reformat(format="yuv420p")))
+        container.mux(stream.encode())
+    layouts.write_text(tmp_path / "calibration.yaml", layouts.CALIBRATION)
+    source = open_source(clip)
+    hint = camera_hint(clip, source.first_image, (1920, 1080))
+    assert hint.focal_px == pytest.approx(26 / np.hypot(36, 24) * np.hypot(1920, 1080))
+    assert hint.sigma_px == pytest.approx(0.15 * hint.focal_px)
+    text = CliRunner().invoke(app, ["info", str(clip)]).stdout
+    assert "iPhone 15 Pro, focal length 48 px by 26 mm of 35 mm film" in text
 
 
 def test_positions_beside_a_video(tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ _ROUNDS, _STEPS = 2, 40  # in the second round pixels are weighed by their resid
 _CONVERGED = 1e-5  # relative decrease of the cost
 _FIRST_DAMPING, _DAMPING_FACTOR, _MAX_DAMPING = 1e-3, 8.0, 1e4
 _MAX_LOG_FOCAL = 0.2  # step of the logarithm of the focal length
-# Of real lenses k2 is some 1.2 times the square of k1: as an unknown of its own it would take the
-# place of the focal length where the scene is far away or nearly plane. Rectified images keep 0.01.
+# Of real lenses k2 is some 1.2 times the square of k1, or 0.01 where images were rectified; as an
+# unknown of its own it would take the place of the focal length.
 _K1_SIGMA, _K2_RATIO, _K2_SPREAD, _K2_SIGMA = 0.5, 1.2, 0.35, 0.01
 _MIN_SLOPE = 0.15  # of the distorted radius, below which a lens cannot be undone
 _HARDLY = 1e3  # factor on the standard deviation of pixels there
@@ -59,7 +59,7 @@ class KeyframeViews:
     """Observations of keyframes.
 
     Attributes:
-        middle: (2,) of the image, where the principal point probably is.
+        middle: (2,) of the image.
         world_from_cam: (K, 4, 4) first guess.
         points: (M, 3) first guess.
         keyframe: (N,) row in world_from_cam of each observation.
@@ -91,12 +91,9 @@ class KeyframeViews:
 
 
 class AdjustedLens(NamedTuple):
-    """The lens, and all keyframes at it.
+    """The lens, all keyframes at it, and the median residual in recorded pixels.
 
-    Attributes:
-        residual_px: median, in recorded pixels.
-        relative_sigma: standard deviation of the focal length, relative to it, if pixels err as
-            assumed.
+    `relative_sigma`: standard deviation of the logarithm of the focal length.
     """
 
     lens: Lens
@@ -113,7 +110,8 @@ def adjust_lens(
     Raises:
         numpy.linalg.LinAlgError: the observations do not determine them.
     """
-    poses, unit = views.world_from_cam.copy(), _extent(views.world_from_cam)
+    poses = views.world_from_cam.copy()
+    unit = float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max())  # the extent
     if not unit > 0.0:
         raise np.linalg.LinAlgError("the camera did not move")
     poses[:, :3, 3] /= unit
@@ -165,8 +163,8 @@ def _converged(
 
 def _with_points(at: AdjustedLens, bundle: Bundle) -> AdjustedLens:
     """The same with the landmarks of its poses."""
-    points = bundle.points_for(at.views.world_from_cam)
-    return at._replace(views=replace(at.views, points=points))
+    views = replace(at.views, points=bundle.points_for(at.views.world_from_cam))
+    return at._replace(views=views)
 
 
 def _normal_equations(
@@ -260,8 +258,3 @@ def _undistorted(xy: Floats, lens: Lens) -> tuple[Floats, Floats]:
 
 def _all_ok(views: KeyframeViews) -> Bools:
     return np.ones(len(views.points), dtype=bool)
-
-
-def _extent(poses: Floats) -> float:
-    """The largest distance of a camera from the first one."""
-    return float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max())

@@ -82,6 +82,7 @@ def read_mp4(path: Path) -> Mp4:
                 texts |= _apple_texts(tracks[-1].tables.get(b"meta", b""))
             elif kind == b"udta":
                 user_data |= dict(_boxes(body))
+                texts |= _apple_texts(user_data.get(b"meta", b""))  # as FFmpeg copies them
             elif kind == b"meta":
                 texts |= _apple_texts(body)
     except (struct.error, IndexError):
