@@ -16,7 +16,14 @@ from vo.tools.calibrating.board import make_board
 
 # Recordings in folders, of two cameras.
 WALKS = ("SOURCE", "my_sequence", "drive", "around_the_block", "monday", "tuesday", "wednesday")
-LOGS = ("walk.mcap", "log.mcap", "drive.mcap", "logs/2026-01/a.mcap", "logs/2026-02/b.mcap")
+LOGS = (
+    "walk.mcap",
+    "survey.mcap",
+    "log.mcap",
+    "drive.mcap",
+    "logs/2026-01/a.mcap",
+    "logs/2026-02/b.mcap",
+)
 _BOARD_CAMERA = Camera(400, 250, 230.0, 229.0, 202.0, 123.0)  # of the size of the walk
 _CUBE = "".join(
     f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)
@@ -41,15 +48,16 @@ def make_files(walk: Path, folder: Path) -> None:
     vo.convert(walk, folder / "dataset" / "sequences" / "06", to="kitti")
     desk = {"to": "tum", "depth": True, "mono": True, "seconds": 1.0}
     vo.synth(folder / "freiburg1_desk", "demo", overrides=["scale=0.25", "motion=handheld"], **desk)  # type: ignore[arg-type]
+    shutil.copy(folder / "freiburg1_desk" / "calibration.yaml", folder / "fr1.yaml")
     shutil.copytree(walk, folder / "EuRoC" / "MH_01_easy")
     (folder / "drives.csv").write_text("source,name\ndrives/a,first\ndrives/b,second\n")
-    for name in ("camera.yaml", "calibration.yaml", "my_calibration.yaml", "fr1.yaml"):
+    for name in ("camera.yaml", "calibration.yaml", "my_calibration.yaml"):
         vo.write_calibration(folder / name, vo.Rig(recording.rig.cam0))
     _photos(folder, [frame.image0 for frame in recording.frames(0, 13)])
     _boards(folder)
     _positions(walk, folder)
     (folder / "statue.obj").write_text(_CUBE)
-    for name, mode in (("mono", "mono"), ("stereo", "stereo"), ("mine", "stereo")):
+    for name, mode in (("mono", "mono"), ("stereo", "stereo"), ("mine", "stereo"), ("", "auto")):
         vo.run(folder / "SOURCE", folder / "out" / name, "fast", mode=mode)  # type: ignore[arg-type]
 
 
