@@ -13,6 +13,7 @@ from vo.base.settings import nearest, validate
 from vo.base.types import Bytes, Keypoints
 from vo.engine.features.extractor import make_extractor
 from vo.engine.frontend.contracts import DescriptorFormat
+from vo.engine.learned.inference import networks_used
 
 
 class Features:
@@ -28,7 +29,8 @@ class Features:
 
     def __init__(self, config: FeaturesConfig) -> None:
         self.config = config
-        self._extractor = make_extractor(config)
+        with networks_used(config.device):
+            self._extractor = make_extractor(config)
 
     @property
     def descriptor_format(self) -> DescriptorFormat:

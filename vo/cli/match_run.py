@@ -11,7 +11,7 @@ from vo.base.errors import ConfigError
 from vo.base.types import Bytes, Camera, Floats
 from vo.cli.console import standard_error
 from vo.cli.match_table import print_failures, print_pair, print_set
-from vo.cli.progress import counting
+from vo.cli.progress import counting, warnings_on
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import list_images
@@ -91,7 +91,9 @@ def _match_two(request: Request) -> bool:
         if picture is not None:
             check_picture(picture)
     settings = _settings(request)
-    with request.printing.details(), request.printing.errors.status("matching"):
+    errors = request.printing.errors
+    warned = warnings_on(errors, quiet=True)
+    with request.printing.details(), warned, errors.status("matching"):
         two = _read(request, given)
         chosen = _options(request, settings, two.cameras, two.baseline)
         masks = pair_masks(settings, two.images, right=request.right)

@@ -28,6 +28,7 @@ from vo.engine.features.matching import make_matcher
 from vo.engine.features.selection import select
 from vo.engine.frontend.contracts import feature_set
 from vo.engine.frontend.optical_flow import follow
+from vo.engine.learned.inference import networks_used
 
 KLT = "klt"
 MATCHERS = (*get_args(MatchingName), KLT)
@@ -80,7 +81,8 @@ class DescribedFeatures:
 
     def __init__(self, name: str, features: FeaturesConfig, matching: MatchingConfig) -> None:
         self.name = name
-        self._extractor = make_extractor(features)
+        with networks_used(features.device):
+            self._extractor = make_extractor(features)
         self._matcher = make_matcher(matching, self._extractor, features)
 
     def match(self, first: Bytes, second: Bytes, mask: Bytes | None = None) -> PairMatches:

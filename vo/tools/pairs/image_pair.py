@@ -17,6 +17,7 @@ from vo.base.types import Bools, Bytes, Camera, Floats, Ints, Keypoints
 from vo.engine.features.extractor import make_extractor
 from vo.engine.features.matching import grid_motion_consistent, make_matcher, method_of
 from vo.engine.frontend.contracts import FeatureExtractor, Matches, feature_set
+from vo.engine.learned.inference import networks_used
 from vo.tools.pairs.model_selection import fit_best
 from vo.tools.pairs.relative_pose import calibrated_pose, relative_pose
 from vo.tools.pairs.two_view_fit import fit_essential, fit_fundamental, fit_homography
@@ -130,7 +131,8 @@ class PairMatcher:
 
     def __init__(self, options: PairOptions) -> None:
         self._options = options
-        self._extractor = make_extractor(options.config.features)
+        with networks_used(options.config.features.device):
+            self._extractor = make_extractor(options.config.features)
 
     def extract(self, image: Bytes, mask: Bytes | None = None) -> ImageFeatures:
         """Features of an image (H, W) uint8, outside of where its mask is 0."""
