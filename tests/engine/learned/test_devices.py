@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from learned_cases import BACKENDS, require_backend
 
+import vo
 from vo.base.config import load_config
 from vo.base.errors import ConfigError, ModelError
 from vo.base.types import Camera, Rig
@@ -66,6 +67,9 @@ def test_a_device_without_a_network_has_no_effect_and_says_so(
     config = load_config(overrides=["features.device=cuda", "threads=1"])
     with closing(Odometry(rig, config)):
         assert "features.device=cuda has no effect" in caplog.text
+    caplog.clear()
+    vo.features.create("orb", device="cuda")
+    assert caplog.text.count("features.device=cuda has no effect") == 1
 
 
 def test_auto_takes_what_works_and_reports_it(
