@@ -203,8 +203,10 @@ class _Search:
         return adjusted, path
 
     def parts(self, adjusted: AdjustedLens) -> Iterator[AdjustedLens]:
-        """The lens by each third of the keyframes alone."""
-        bounds = np.linspace(0, len(adjusted.views.world_from_cam), _PARTS + 1).astype(int)
+        """The lens by each third of the keyframes alone, or each half of few."""
+        keyframes = len(adjusted.views.world_from_cam)
+        count = _PARTS if keyframes >= _PARTS * _MIN_KEYFRAMES else 2
+        bounds = np.linspace(0, keyframes, count + 1).astype(int)
         columns = IDEAL if adjusted.lens.k1 == 0.0 else WITH_CENTRE
         for first, last in zip(bounds[:-1], bounds[1:], strict=True):
             if last - first >= _MIN_KEYFRAMES:
