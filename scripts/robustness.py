@@ -10,9 +10,9 @@ give a false alarm. A path is wrong if its ATE exceeds 3 times that of the clean
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -30,6 +30,7 @@ from robustness_cases import CLIPS, Case, cases
 from robustness_clips import Clip, Clips, true_poses, write_euroc
 from robustness_generated import Generated, generated
 from robustness_run import Outcome, max_ate_m, run
+from robustness_store import Store
 from robustness_table import CleanRow, Row, clean_line, document, line
 
 from vo.base.types import Floats
@@ -53,17 +54,17 @@ def main() -> None:
     clean: list[CleanRow] = []
     with tempfile.TemporaryDirectory(prefix="vo-robustness-") as name:
         bench = _Bench(options.vo, clips, Path(name), options.keep)
-        for case in sorted(chosen, key=lambda c: CLIPS.index(c.clip)):  # each is read once
-            row = bench.row(case)
-            if row is not None:
-                rows[case.name] = row
-                print(line(row), flush=True)
-        for situation in others:
-            row = rows[situation.name] = bench.generated_row(situation, options.data)
-            print(line(row), flush=True)
-        for each in _clean_rows(options, Path(name)):
-            clean.append(each)
-            print(clean_line(each), flush=True)
+        chosen_of = {c.name: c for c in sorted(chosen, key=lambda c: CLIPS.index(c.clip))}
+        todo: dict[str, Callable[[], Row | CleanRow | None]] = {
+            **{n: partial(bench.row, case) for n, case in chosen_of.items()},  # each clip read once
+            **{each.name: partial(bench.generated_row, each, options.data) for each in others},
+            **dict(_clean_runs(options, Path(name))),
+        }
+        for title, found in _measured(todo, Store(options.json, options.vo)):
+            if isinstance(found, Row):
+                rows[title] = found
+            else:
+                clean.append(found)
     if not rows and not clean:
         raise SystemExit("error: nothing to run; check --data and --only")
     in_order = [rows[case.name] for case in (*chosen, *others) if case.name in rows]
@@ -74,6 +75,20 @@ def main() -> None:
     print(f"{len(clean)} clean runs, {len(alarms)} with false alarms")
     if wrong or alarms:
         raise SystemExit(1)
+
+
+def _measured(
+    todo: dict[str, Callable[[], Row | CleanRow | None]], store: Store
+) -> Iterator[tuple[str, Row | CleanRow]]:
+    """Rows by name, printed and stored one by one."""
+    for done, (name, measure) in enumerate(todo.items(), 1):
+        begin = time.perf_counter()
+        if (found := store.find(name)) is None and (found := measure()) is not None:
+            store.add(name, found, time.perf_counter() - begin)
+        if found is not None:
+            text = line(found) if isinstance(found, Row) else clean_line(found)
+            print(f"{done}/{len(todo)}  {text}", flush=True)
+            yield name, found
 
 
 class _Bench:
@@ -130,8 +145,10 @@ class _Bench:
         return self._clean[name]
 
 
-def _clean_rows(options: argparse.Namespace, work: Path) -> Iterator[CleanRow]:
-    """Runs on recordings as they are: the real ones, then the synthetic suite."""
+def _clean_runs(
+    options: argparse.Namespace, work: Path
+) -> Iterator[tuple[str, Callable[[], CleanRow | None]]]:
+    """Names of runs on recordings as they are, and what runs them: real ones, then the suite."""
     calibration = write_tum_calibration(work)
     for name, folder_of in _clean_recordings(options):
         for mode in MODES:
@@ -139,10 +156,7 @@ def _clean_rows(options: argparse.Namespace, work: Path) -> Iterator[CleanRow]:
             if options.no_clean or options.only not in title:
                 continue
             arguments = ("--mode", mode, *options_of(Path(name), calibration))
-            with tempfile.TemporaryDirectory(dir=work) as output:
-                outcome = _clean_run(options.vo, folder_of(), Path(output), arguments)
-            if outcome is not None:
-                yield CleanRow(title, outcome)
+            yield title, partial(_clean_run, options.vo, title, folder_of, work, arguments)
 
 
 def _clean_recordings(options: argparse.Namespace) -> Iterator[tuple[str, Callable[[], Path]]]:
@@ -152,13 +166,18 @@ def _clean_recordings(options: argparse.Namespace) -> Iterator[tuple[str, Callab
         yield from suite(options.cache).items()
 
 
-def _clean_run(vo: Path, folder: Path, output: Path, arguments: tuple[str, ...]) -> Outcome | None:
-    """The outcome, None where the recording has no right camera."""
+def _clean_run(
+    vo: Path, title: str, folder_of: Callable[[], Path], work: Path, arguments: tuple[str, ...]
+) -> CleanRow | None:
+    """The row, None where the recording has no right camera."""
+    folder = folder_of()
     calibration = Path(arguments[-1]) if "--calibration" in arguments else None
     source = open_source(folder, calibration=calibration)
     if "stereo" in arguments and not source.rig.is_stereo:
         return None
-    return run(vo, folder, _truth(folder, calibration), output / "out", arguments)
+    with tempfile.TemporaryDirectory(dir=work) as output:
+        truth = _truth(folder, calibration)
+        return CleanRow(title, run(vo, folder, truth, Path(output) / "out", arguments))
 
 
 def _truth(folder: Path, calibration: Path | None = None) -> Floats:
@@ -168,9 +187,11 @@ def _truth(folder: Path, calibration: Path | None = None) -> Floats:
 
 
 def _options() -> argparse.Namespace:
-    shared = ("only", "json", "keep", "vo", "data", "cache")
+    shared = ("only", "keep", "vo", "data", "cache")
     parser = parser_of("robustness", __doc__, *shared)
     add = parser.add_argument
+    add("--json", type=Path, metavar="FILE", help="append each row to this file (JSON Lines), and "
+        "take those of the same commit from it: calls may be broken off, and share it")  # fmt: skip
     add("--list", action="store_true", help="print the names of the rows, and exit")
     add("--quick", action="store_true", help="one strength of each situation, no synthetic suite")
     add("--no-clean", action="store_true", help="without the runs that count false alarms")
@@ -187,12 +208,6 @@ def _is_chosen(case: Case, options: argparse.Namespace) -> bool:
 
 
 def _write(options: argparse.Namespace, rows: list[Row], clean: list[CleanRow]) -> None:
-    if options.json:
-        report = {
-            "rows": [row.to_dict() for row in rows],
-            "clean": [{"name": c.name, **vars(c.outcome)} for c in clean],
-        }
-        options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.markdown == PAGE:
         write_section(PAGE, "table", f"{_made_by(options)}\n\n{document(rows, clean)}")
     elif options.markdown:

@@ -71,6 +71,10 @@ class CleanRow:
         """Number of kinds of faults that were reported."""
         return len(self.outcome.faults)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
 
 def line(row: Row) -> str:
     """A row for the terminal."""

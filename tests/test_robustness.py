@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from vo.base.geometry.transforms import so3_exp
 from vo.base.types import Floats
 
-MODULES = ("robustness_cases", "robustness_run", "robustness_table", "robustness_clips")
+MODULES = tuple(f"robustness_{name}" for name in ("cases", "run", "table", "clips", "store"))
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +121,39 @@ def test_frames_without_a_left_image_have_no_truth(
     clip = scripts["robustness_clips"].Clip("x", (left, [image] * 50), (stamps,), None, truth)
     expected = np.delete(truth, np.arange(10, 20), axis=0)
     np.testing.assert_array_equal(clip.truth_of_frames, expected)
+
+
+def test_rows_of_the_same_commit_are_found_again(
+    scripts: dict[str, ModuleType], tmp_path: Path
+) -> None:
+    def outcome(ate: float) -> Any:
+        return scripts["robustness_run"].Outcome(ate, 1.0, 0.3, "complete", True, ("frozen!",), "")
+
+    def git(*words: str) -> None:
+        identity = ("-c", "user.name=x", "-c", "user.email=x@example.org")
+        subprocess.run(["git", "-C", str(tmp_path), *identity, *words], check=True)
+
+    def commit(text: str) -> Any:
+        (tmp_path / "code").write_text(text)
+        git("add", "code")
+        git("commit", "-qm", text)
+        return store()
+
+    def store() -> Any:
+        return scripts["robustness_store"].Store(tmp_path / "rows.jsonl", tmp_path / "vo")
+
+    table = scripts["robustness_table"]
+    row = table.Row("bonnet", "10 %", "hall", outcome(0.1), outcome(0.01), 0.05)
+    clean = table.CleanRow("clean, hall", outcome(0.01))
+    git("init", "-q")
+    first = commit("one")
+    first.add("bonnet, 10 %, hall", row, 3.0)
+    with (tmp_path / "rows.jsonl").open("a") as file:
+        file.write('{"name": "broken off", "outcome": {}')
+    first.add(clean.name, clean, 2.0)
+    assert store().find("bonnet, 10 %, hall") == row
+    assert store().find(clean.name) == clean
+    assert store().find("bonnet, 20 %, hall") is None
+    (tmp_path / "code").write_text("changed")
+    assert store().find(clean.name) is None
+    assert commit("two").find(clean.name) is None
