@@ -23,9 +23,15 @@ def _places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     return x, y
 
 
+def _disparity_px(x: Floats, y: Floats) -> Floats:
+    """That of a road, and of walls beside it at random distances."""
+    walls = np.random.default_rng(4).uniform(2.0, 25.0, len(x))
+    return np.where((y > 0.0) & (np.abs(x) < 0.5), 100.0 * y, walls)
+
+
 def _fitted(x: Floats, y: Floats, vertical_px: Floats) -> tuple[FittedVerticalDisparity, Bools]:
     fit = VerticalDisparityFit()
-    agrees = fit.add(x, y, vertical_px)
+    agrees = fit.add(x, y, vertical_px, _disparity_px(x, y))
     return fit.result(), agrees
 
 
@@ -35,6 +41,14 @@ def test_errors_are_recovered() -> None:
     # What is usual pulls a little, bend most.
     assert fitted.errors == pytest.approx(FOUND, abs=0.05)
     assert agrees.all()
+
+
+def test_the_direction_of_the_baseline_is_not_taken_for_zoom() -> None:
+    x, y = _places(1000)
+    tilt_px = np.radians(0.5) * _disparity_px(x, y)
+    noise = 0.1 * np.random.default_rng(5).standard_normal(len(x))
+    fitted, _ = _fitted(x, y, FOUND.vertical_px(x, y) + tilt_px + noise)
+    assert fitted.errors == pytest.approx(FOUND, abs=0.15)
 
 
 def test_a_third_of_wrong_matches_changes_little() -> None:
@@ -62,9 +76,10 @@ def test_uncertainty_is_higher_where_there_are_no_points() -> None:
 def test_a_second_pair_with_points_elsewhere_reduces_the_uncertainty() -> None:
     x, y = _places(600)
     fit, corner = VerticalDisparityFit(), (np.array([0.8]), np.array([0.4]))
-    fit.add(x[x < 0], y[x < 0], FOUND.vertical_px(x[x < 0], y[x < 0]))
+    near = _disparity_px(x, y)
+    fit.add(x[x < 0], y[x < 0], FOUND.vertical_px(x[x < 0], y[x < 0]), near[x < 0])
     (before,), *_ = sigmas_px(fit.result().covariance, *corner)
-    fit.add(x[x > 0], y[x > 0], FOUND.vertical_px(x[x > 0], y[x > 0]))
+    fit.add(x[x > 0], y[x > 0], FOUND.vertical_px(x[x > 0], y[x > 0]), near[x > 0])
     (after,), *_ = sigmas_px(fit.result().covariance, *corner)
     assert after < 0.5 * before
     assert fit.result().errors.vertical_px(*corner) == pytest.approx(
@@ -76,7 +91,7 @@ def test_a_fit_supports_a_pair_with_the_same_error_and_no_other() -> None:
     x, y = _places(400)
     noise = 0.2 * np.random.default_rng(3).standard_normal((3, len(x)))
     fit = VerticalDisparityFit()
-    fit.add(x, y, FOUND.vertical_px(x, y) + noise[0])
+    fit.add(x, y, FOUND.vertical_px(x, y) + noise[0], _disparity_px(x, y))
     assert fit.support(x, y, FOUND.vertical_px(x, y) + noise[1]) > 4.0
     assert fit.support(x, y, noise[2]) < 0.0
 

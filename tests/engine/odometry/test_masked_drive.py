@@ -13,6 +13,8 @@ from robustness_overlays import burnt_in_text, own_body
 from vo.base.config import Config, load_config
 from vo.base.geometry.similarity import umeyama
 from vo.base.types import Frame
+from vo.engine.frontend.camera_alignment import half_size_pyramid
+from vo.engine.frontend.image_fixed import ImageFixedDetector
 from vo.engine.odometry import Odometry
 
 
@@ -58,3 +60,12 @@ def test_the_path_of_a_real_drive(
     config, masked = (load_config("default", [f"masks.files={each}"]) for each in ([], files))
     # Starts of this drive differ by 1 cm, in stereo from 8 to 25 mm.
     assert _ate(covered, masked) <= 1.1 * _ate(clean, config) + 0.005
+
+
+def test_a_bonnet_over_most_of_noisy_images_is_doubted(shared_data: Path, tmp_path: Path) -> None:
+    clean = Clips(shared_data, tmp_path).get("kitti06 stereo")
+    assert clean is not None
+    detector = ImageFixedDetector(clean.baseline_px)
+    for image in own_body(0.6, textured=False)(clean).images[0]:
+        found = detector.update(half_size_pyramid(image), image.shape)
+    assert found.is_ambiguous and found.share > 0.3

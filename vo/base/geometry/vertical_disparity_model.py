@@ -22,6 +22,9 @@ _CORRELATION = 25.0
 # Prior standard deviations of the terms. A narrow lens hardly separates zoom from bend, and rarely
 # has bend.
 PRIOR_SIGMA_PX = np.array([5.0, 5.0, 5.0, 1.0, 5.0])
+# Prior of the direction of the baseline, in radians: it moves rows in proportion to disparities,
+# which on a road looks like zoom, and is no error of the right camera.
+_SIGMA_TILT = 0.01
 
 
 class VerticalDisparity(NamedTuple):
@@ -65,10 +68,11 @@ class VerticalDisparityFit:
     """Robust least-squares fit of `VerticalDisparity` to the points of any number of pairs."""
 
     def __init__(self) -> None:
-        self._information = np.diag(PRIOR_SIGMA_PX**-2.0)
-        self._vector = np.zeros(len(PRIOR_SIGMA_PX))
+        self._prior = np.diag(np.append(PRIOR_SIGMA_PX, _SIGMA_TILT) ** -2.0)
+        self._information = self._prior.copy()
+        self._vector = np.zeros(len(self._prior))
 
-    def add(self, x: Floats, y: Floats, vertical_px: Floats) -> Bools:
+    def add(self, x: Floats, y: Floats, vertical_px: Floats, disparity_px: Floats) -> Bools:
         """Add the points of a pair, many of which may be wrong matches.
 
         Iteratively reweighted least squares with Cauchy weights, starting from the median.
@@ -77,12 +81,13 @@ class VerticalDisparityFit:
             x: (N,) normalised image coordinates.
             y: (N,) the same.
             vertical_px: (N,) row in the right image minus row in the left.
+            disparity_px: (N,) column in the left image minus column in the right.
 
         Returns:
             Mask (N,) of points within three standard deviations of the fit.
         """
-        terms, prior = vertical_disparity_terms(x, y), np.diag(PRIOR_SIGMA_PX**-2.0)
-        found = np.array([median(vertical_px), 0.0, 0.0, 0.0, 0.0])
+        terms = np.column_stack([vertical_disparity_terms(x, y), disparity_px])
+        found = np.array([median(vertical_px), 0.0, 0.0, 0.0, 0.0, 0.0])
         for _ in range(_ITERATIONS):
             residual = vertical_px - terms @ found
             sigma = max(_MIN_SIGMA_PX, 1.4826 * median(np.abs(residual)))
@@ -91,7 +96,7 @@ class VerticalDisparityFit:
                 (terms * weight[:, None]).T @ terms,
                 terms.T @ (weight * vertical_px),
             )
-            found = np.linalg.solve(information + prior, vector)
+            found = np.linalg.solve(information + self._prior, vector)
         self._information += information
         self._vector += vector
         return np.asarray(np.abs(vertical_px - terms @ found) <= 3.0 * sigma)
@@ -119,9 +124,8 @@ class VerticalDisparityFit:
     def result(self) -> FittedVerticalDisparity:
         """Fit to all pairs."""
         covariance = np.asarray(np.linalg.inv(self._information), dtype=np.float64)
-        return FittedVerticalDisparity(
-            VerticalDisparity(*(covariance @ self._vector).tolist()), covariance
-        )
+        errors = VerticalDisparity(*(covariance @ self._vector)[:-1].tolist())
+        return FittedVerticalDisparity(errors, covariance[:-1, :-1])
 
 
 def sigmas_px(covariance: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:

@@ -53,7 +53,7 @@ _MIN_SHARE, _MAX_SHARE = 0.035, 0.5
 # lower third, may as well be the background of something large that passes a camera at rest.
 _MAX_AREA, _MAX_TOP, _MAX_OPPOSITE = 0.33, 0.35, 0.1
 # The same for nearly all of what is the same while the rest changes: a slow scene drifts by more.
-_MAX_KEPT_DRIFT_PX, _MIN_KEPT = 0.15, 0.75
+_MAX_KEPT_DRIFT_PX, _MIN_KEPT, _NEIGHBOURS = 0.15, 0.75, (31, 31)
 # Ratio of texture that must move, in how many comparisons, while most of the image never has.
 _MIN_LONG_PASSING, _LONG = 0.3, 15
 # Images that the mean gradient remembers, and the weight of the newest after so many.
@@ -229,7 +229,10 @@ class ImageFixedDetector:
         drift = displacement(now, self._last.u, self._last.v)
         at = places & drift.is_corner
         count = int(np.count_nonzero(at))
-        still = int(np.count_nonzero(at & (drift.squared_px < _MAX_KEPT_DRIFT_PX**2)))
+        # Neighbours drift together; the images' noise moves each another way.
+        near = cv2.blur(at.astype(np.float32), _NEIGHBOURS) + np.float32(1e-6)
+        u, v = (cv2.blur(at * s.clip(-1.0, 1.0), _NEIGHBOURS) / near for s in drift.shift_px)
+        still = int(np.count_nonzero(at & (u * u + v * v < _MAX_KEPT_DRIFT_PX**2)))
         return count > _MIN_TEXTURED * at.size and still > _MIN_KEPT * count
 
     def _count_runs(self, now: Gradients, textured: Bools, moved: Bools) -> None:

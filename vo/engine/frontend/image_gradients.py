@@ -27,13 +27,18 @@ class Displacement(NamedTuple):
 
     Attributes:
         correlation: (H, W) at the same place.
-        squared_px: (H, W) square of the distance to the maximum of the correlation.
+        shift_px: (2, H, W) from the maximum of the correlation, along v and u.
         is_corner: (H, W) whether the distance is known along both axes.
     """
 
     correlation: Floats32
-    squared_px: Floats32
+    shift_px: Floats32
     is_corner: Bools
+
+    @property
+    def squared_px(self) -> Floats32:
+        """(H, W) square of the distance."""
+        return np.asarray(self.shift_px[0] ** 2 + self.shift_px[1] ** 2)
 
 
 def gradients_of(image: Bytes) -> Gradients:
@@ -101,11 +106,11 @@ def displacement(now: Gradients, u: Floats32, v: Floats32) -> Displacement:
         return correlation(now, shifted_u, shifted_v, energy)
 
     centre = correlation_at(0, 0)
-    squared, is_corner = np.zeros_like(centre), np.ones(centre.shape, dtype=bool)
+    shift, is_corner = np.zeros((2, *centre.shape), np.float32), np.ones(centre.shape, dtype=bool)
     for axis in (0, 1):
         before, after = correlation_at(-1, axis), correlation_at(1, axis)
         curvature = 2.0 * centre - before - after
         peak = 0.5 * (after - before) / np.maximum(curvature, _MIN_CURVATURE)
-        squared += np.where(curvature > _MIN_CURVATURE, peak * peak, 0.0)
+        shift[axis] = np.where(curvature > _MIN_CURVATURE, peak, 0.0)
         is_corner &= curvature > _MIN_CURVATURE
-    return Displacement(centre, squared, is_corner)
+    return Displacement(centre, shift, is_corner)

@@ -168,7 +168,7 @@ class PairCheck:
         rig = self._rig
         x = (points.right[:, 0] - rig.cx) / rig.fx
         y = (points.left[:, 1] - rig.cy) / rig.fy
-        inlier = VerticalDisparityFit().add(x, y, points.rows_px)
+        inlier = VerticalDisparityFit().add(x, y, points.rows_px, points.disparity)
         if inlier.mean() < _MIN_RATIO:
             inlier[:] = False
         return points.select(inlier)

@@ -157,7 +157,7 @@ class VerticalDisparityCorrection:
         is_refuted = self._corrects and support.chi2 < 0.0
         if is_refuted:
             support, fit = _Support(), VerticalDisparityFit()
-        inlier = fit.add(x, y, rows_px)
+        inlier = fit.add(x, y, rows_px, xy[:, 0] - found[:, 0])
         if np.count_nonzero(inlier) < max(_MIN_POINTS, _MIN_INLIER_RATIO * len(xy)):
             return False
         self.points = points.select(inlier)

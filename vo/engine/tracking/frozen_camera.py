@@ -18,7 +18,7 @@ from vo.engine.tracking.tracker import Tracker
 
 # Predicted motion in the image from which a repeated image is impossible. What differs by noise
 # may also be a camera that stops: it must have been faster, and the frame rate higher.
-_MIN_MOTION_PX = {Repetition.IDENTICAL: 0.3, Repetition.SIMILAR: 3.0}
+_MIN_MOTION_PX = {Repetition.IDENTICAL: 0.3, Repetition.SIMILAR: 2.0}
 _MAX_INTERVAL_S = {Repetition.IDENTICAL: 0.5, Repetition.SIMILAR: 0.25}
 # Images that differ by noise for longer than this are those of a camera that stands still, and so
 # are more identical ones than this where the motion before is unknown.

@@ -102,7 +102,7 @@ def _right_camera(
         exact = refined_points(*pair, points)
         x, y = (exact[:, 2] - rig.cx) / rig.fx, (exact[:, 1] - rig.cy) / rig.fy
         if len(exact) >= _MIN_MATCHES:
-            fit.add(x, y, exact[:, 3] - exact[:, 1])
+            fit.add(x, y, exact[:, 3] - exact[:, 1], exact[:, 0] - exact[:, 2])
     fitted = fit.result()
     return right_camera_error(fitted.errors, rig) if is_worth_correcting(fitted, rig) else None
 
