@@ -172,6 +172,29 @@ def test_wrong_time_offset_is_found_used_and_told(walk: Path, tmp_path: Path) ->
     assert summary["length_unit"] == "m" and _scale_error(tmp_path / "out", walk) < 0.01
 
 
+def test_stamps_of_images_that_vary_do_not_contradict_the_sensor(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    hall = shared_data / "rendered_hall_stereo/mav0"
+    late_ns = np.rint(2e6 * np.random.default_rng(3).standard_normal(1000)).astype(int)
+    for camera in ("cam0", "cam1"):
+        folder = tmp_path / "hall/mav0" / camera
+        folder.mkdir(parents=True)
+        (folder / "data").symlink_to(hall / camera / "data")
+        (folder / "sensor.yaml").symlink_to(hall / camera / "sensor.yaml")
+        head, *rows = (hall / camera / "data.csv").read_text().splitlines()
+        moved = [
+            f"{int(row.split(',')[0]) + by},{row.split(',')[1]}"
+            for row, by in zip(rows, late_ns[: len(rows)], strict=True)
+        ]
+        (folder / "data.csv").write_text("\n".join([head, *moved]) + "\n")
+    (tmp_path / "hall/mav0/imu0").symlink_to(hall / "imu0")
+    summary = _run(tmp_path / "hall", tmp_path / "out")
+    assert not summary["faults"] and summary["inertial"]["states"]["misfit"] < 0.7
+    assert summary["inertial"]["stamp_sigma_s"] == pytest.approx(0.002, rel=0.15)
+    assert any("stamps of images vary by" in warning for warning in summary["warnings"])
+
+
 def _in_g(row: list[str]) -> list[str]:
     return row[:4] + [repr(float(v) / 9.80665) for v in row[4:7]]
 

@@ -11,7 +11,12 @@ from inertial_flight import START_NS, Samples, Sensor, sensor, world_from_cam
 from vo.base.types import Floats, Ints
 from vo.engine.geometry import so3
 from vo.engine.inertial.samples import SampleReader
-from vo.engine.inertial.time_offset import OffsetSearch, TimeOffset, measure_time_offset
+from vo.engine.inertial.time_offset import (
+    OffsetSearch,
+    TimeOffset,
+    measure_time_offset,
+    regular_stamps,
+)
 
 _FRAMES = START_NS + 200_000_000 + np.arange(280) * 50_000_000  # 14 s
 
@@ -118,3 +123,19 @@ def test_offset_is_measured_rarely_and_no_longer_with_states() -> None:
     assert due == [40, 80, 160, 320]
     assert search.is_due(401, has_states=True)
     assert not search.is_due(1000, has_states=True)
+
+
+def test_stamps_that_vary_give_the_regular_times_of_the_camera() -> None:
+    rng = np.random.default_rng(1)
+    number = np.flatnonzero(rng.random(400) > 0.05)  # lost frames
+    exact = START_NS + np.rint(number * 83_333_333 * (1.0 + 1e-5 * number / 400)).astype(np.int64)
+    found = regular_stamps(exact + np.rint(2e6 * rng.standard_normal(len(exact))).astype(np.int64))
+    assert found is not None
+    assert np.std(found - exact) < 0.5e6
+
+
+def test_exact_stamps_and_those_of_an_irregular_camera_have_no_other_times() -> None:
+    rng = np.random.default_rng(2)
+    assert regular_stamps(_FRAMES) is None
+    steps = rng.uniform(30e6, 150e6, 300).astype(np.int64)
+    assert regular_stamps(START_NS + np.cumsum(steps)) is None

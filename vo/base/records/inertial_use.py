@@ -48,6 +48,8 @@ class InertialUse:
             of the run; None if these do not show it.
         time_offset_sigma_s: its standard deviation.
         given_time_offset_s: that of the recording or its calibration.
+        stamp_sigma_s: standard deviation of the images' stamps from a regular rate, where samples
+            agree with the images at regular times only; else 0.
     """
 
     sensor: str
@@ -61,3 +63,4 @@ class InertialUse:
     used_time_offset_s: float = 0.0
     given_time_offset_s: float = 0.0
     is_contradiction: bool = False
+    stamp_sigma_s: float = 0.0

@@ -35,11 +35,7 @@ def has_algorithm(name: str) -> bool:
 
 
 def require_algorithm(name: str, word: str) -> Callable[..., Any]:
-    """The function that creates an algorithm.
-
-    Args:
-        name: of the algorithm in OpenCV, such as `AKAZE`.
-        word: what it is for, such as `detector 'akaze'`.
+    """The function that creates an algorithm such as `AKAZE`; `word` names it in errors.
 
     Raises:
         ConfigError: this build does not have it.
@@ -57,10 +53,6 @@ def require_algorithm(name: str, word: str) -> Callable[..., Any]:
 
 def require_function(name: str, word: str) -> Callable[..., Any]:
     """A function of OpenCV.
-
-    Args:
-        name: of the function, such as `matchGMS`.
-        word: what it is for, such as `matching with GMS`.
 
     Raises:
         ConfigError: this build does not have it.

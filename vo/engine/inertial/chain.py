@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,9 +145,12 @@ class InertialChain:
         self._origin = self._begin = 0
         self.finished.clear()
 
-    def read_again(self) -> None:
-        """Take all samples by the newest time offset; what follows has to be `finish`."""
-        stamps_ns = [node.stamp_ns for node in self._nodes]
+    def read_again(self, moved_ns: Mapping[int, int] | None = None) -> None:
+        """Take all samples by the newest time offset, or by other times than some stamps.
+
+        What follows has to be `finish`.
+        """
+        stamps_ns = [(moved_ns or {}).get(n.stamp_ns, n.stamp_ns) for n in self._nodes]
         for row in range(1, len(stamps_ns)):
             self._intervals[row] = self._reader.between(stamps_ns[row - 1], stamps_ns[row])
         self._measured = [None] * len(stamps_ns)

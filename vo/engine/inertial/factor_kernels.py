@@ -210,15 +210,7 @@ def add_factors(  # type: ignore[no-untyped-def]
 
 @compiled
 def add_changes(rows, column, weight, change, equations):  # type: ignore[no-untyped-def]
-    """Add the cost of a change (n, c) of some columns to the next state, with weights (n, c).
-
-    Args:
-        rows: (n,).
-        column: the first of them.
-        weight: (n, c).
-        change: (n, c).
-        equations: the fields of `Equations`.
-    """
+    """Add the cost of a change (n, c) of some columns to the next state, with weights (n, c)."""
     before, after, coupling, gradient_before, gradient_after = equations
     for k in range(len(rows)):
         row = rows[k]

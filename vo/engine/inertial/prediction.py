@@ -86,11 +86,6 @@ class InertialPredictor:
         turns: rotations between images that make no map yet.
         in_windows: motions that are factors of the windows, by the ids of both keyframes; None
             where the motion was unknown.
-
-    Args:
-        reader: gives the samples.
-        noise: of the sensor.
-        imu_from_cam: (4, 4) of the rectified camera.
     """
 
     def __init__(self, reader: SampleReader, noise: ImuNoise, imu_from_cam: Floats) -> None:
@@ -176,10 +171,6 @@ def without_inertial(covariance: Floats, inertial: Floats) -> Floats:
     The information of independent measurements adds, so it is subtracted here. Along directions
     in which images have less than 1 % of the information they keep 1 %. The motion itself cannot
     be taken apart in this way: an error of either covariance would move it by many times its own.
-
-    Args:
-        covariance: (6, 6) of the motion.
-        inertial: (6, 6) of its inertial part, in the same frame.
     """
     root = np.linalg.cholesky(covariance)
     shares = root.T @ np.linalg.solve(inertial, root)

@@ -27,9 +27,7 @@ _FROZEN_JUMP = 10.0  # after frozen values, in usual changes from sample to samp
 def refused_samples(stamps_ns: Ints, values: Floats) -> Bools | None:
     """Which samples to refuse; None if there are none, as nearly always.
 
-    Args:
-        stamps_ns: (n,) increasing, of some seconds.
-        values: (n, 6) rates in rad/s and forces in m/s².
+    `values`: (n, 6) rates in rad/s and forces in m/s².
     """
     if len(values) < 2 * _MIN_HELD:
         return None

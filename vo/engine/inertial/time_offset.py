@@ -22,6 +22,8 @@ _MIN_CHANGE_S, _MIN_CHANGE_SIGMA = 0.001, 5.0
 _MIN_DRIFT_S = 0.003  # between the halves of a run
 _FIRST_FRAMES = 40  # after which the offset is measured first
 _KNOWN_SIGMA_S = 0.001
+_REGULAR_OVER = 31  # frames
+_MIN_IRREGULAR_S, _MAX_IRREGULAR = 1e-4, 0.1  # standard deviation of stamps; relative to the period
 
 
 class TimeOffset(NamedTuple):
@@ -134,3 +136,16 @@ def _fits(found: GyroAlignment, cam_from_imu: Floats) -> bool:
         axis = found.main_axis
         cosine = float((found.cam_from_imu @ axis) @ (cam_from_imu @ axis))
     return cosine > float(np.cos(_MAX_TURN_RAD))
+
+
+def regular_stamps(stamps_ns: Ints) -> Ints | None:
+    """The same times at the regular rate of a camera whose stamps vary; None for others."""
+    seconds = 1e-9 * (stamps_ns - stamps_ns[0])
+    period_s = float(np.median(np.diff(seconds)))
+    number = np.cumsum(np.r_[0.0, np.rint(np.diff(seconds) / period_s)])
+    late_s = seconds - np.polyval(np.polyfit(number, seconds, 1), number)
+    near = np.ones(min(_REGULAR_OVER, len(late_s)))  # rates drift
+    late_s -= np.convolve(late_s, near, "same") / np.convolve(np.ones_like(late_s), near, "same")
+    if not _MIN_IRREGULAR_S < float(late_s.std()) < _MAX_IRREGULAR * period_s:
+        return None
+    return np.asarray(stamps_ns - np.rint(1e9 * late_s).astype(np.int64))

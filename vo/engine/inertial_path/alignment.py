@@ -17,6 +17,7 @@ from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats, Ints
+from vo.engine.inertial.agreement import Agreement
 from vo.engine.inertial.chain import InertialChain, KeyframeStates, Node, certain
 from vo.engine.inertial.initialisation import WRONG, tilt_sigma
 from vo.engine.inertial.prediction import (
@@ -27,7 +28,12 @@ from vo.engine.inertial.prediction import (
 )
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS, GYRO_BIAS, LOG_SCALE
-from vo.engine.inertial.time_offset import OffsetSearch, different_clocks, measure_time_offset
+from vo.engine.inertial.time_offset import (
+    OffsetSearch,
+    different_clocks,
+    measure_time_offset,
+    regular_stamps,
+)
 from vo.engine.inertial_path.gaps import InertialGaps, tangent_of_cam0
 from vo.engine.inertial_path.map_poses import EstimatedPose, InertialMapPoses
 from vo.engine.inertial_path.turns import InertialTurns
@@ -70,12 +76,8 @@ class InertialAlignment:
         self._predictor = predictor
         self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
         self._adjoint = adjoint(sensor.cam0_from_imu)
-        self._chain = InertialChain(
-            reader,
-            predictor.noise,
-            predictor.imu_from_cam,
-            is_metric=self._is_metric,
-        )
+        noise, imu_from_cam = predictor.noise, predictor.imu_from_cam
+        self._chain = InertialChain(reader, noise, imu_from_cam, is_metric=self._is_metric)
         self._offset = OffsetSearch(reader)
         self._gaps = InertialGaps(trajectory, reader, predictor.noise, sensor.cam0_from_imu)
         self._turns = InertialTurns(trajectory, predictor, reader, self._imu_from_cam0)
@@ -85,6 +87,7 @@ class InertialAlignment:
         # from their odometry frame to its own.
         self._joints: dict[int, tuple[int, Floats]] = {}
         self._fused: dict[int, InertialPose] = {}  # keyframes of a metric path, by id, at the end
+        self._stamp_sigma_s = 0.0
 
     @property
     def use(self) -> InertialUse:
@@ -97,6 +100,7 @@ class InertialAlignment:
             is_contradiction=found is not None,
             used_time_offset_s=self._reader.time_offset_s,
             given_time_offset_s=self._reader.sensor.time_offset_s,
+            stamp_sigma_s=self._stamp_sigma_s,
         )
         solved = self._chain.newest
         if solved is None:
@@ -151,6 +155,8 @@ class InertialAlignment:
             if not self._chain.is_initialised:
                 self._chain.update()
         solved = self._chain.finish()
+        if self._chain.agreement.contradiction is not None:
+            solved = self._finished_by_regular_stamps() or solved
         self.contradiction = self._found_contradiction()
         if solved is not None:  # in another frame, which the pose graph does not know
             self.map_poses.begin_frame_of(solved.world)
@@ -159,6 +165,21 @@ class InertialAlignment:
             for each in (*self._chain.finished, solved):
                 self._fuse(each)
         self._gaps.remember(solved)
+
+    def _finished_by_regular_stamps(self) -> KeyframeStates | None:
+        """All states by samples at a regular rate of images, if these contradict no more."""
+        stamps_ns, found = self._tracked()[0], self._chain.agreement
+        regular_ns = regular_stamps(stamps_ns)
+        if regular_ns is None or self._chain.finished:
+            return None
+        self._chain.agreement = Agreement()
+        self._chain.read_again(dict(zip(stamps_ns.tolist(), regular_ns.tolist(), strict=True)))
+        solved = self._chain.finish()
+        if self._chain.agreement.contradiction is None:
+            self._stamp_sigma_s = 1e-9 * float((regular_ns - stamps_ns).std())
+            return solved
+        self._chain.agreement = found
+        return None
 
     def _found_contradiction(self) -> str | None:
         """How sensor and images contradict each other, after the last frame."""
@@ -232,12 +253,7 @@ class InertialAlignment:
         )
 
     def _place(self, solved: KeyframeStates | None, *, keeps_earlier: bool = True) -> None:
-        """Place the keyframes of a single camera in the metric, upright world.
-
-        Args:
-            solved: some of them.
-            keeps_earlier: whether those before them stay, else they follow the first one.
-        """
+        """Place the keyframes of a single camera in the metric, upright world."""
         if solved is None:
             return
         if self._is_metric:

@@ -70,12 +70,7 @@ def partners_of(log_assignment: Floats | Floats32) -> Partners:
 
 
 def matches_of(partners: Partners, min_probability: float) -> Matches:
-    """Pairs that are each other's partners; scores are 1 - probability.
-
-    Args:
-        partners: of the features of two images.
-        min_probability: above which a pair is a match.
-    """
+    """Pairs that are each other's partners; scores are 1 - probability."""
     train = partners.train
     probability = np.exp(partners.log_probability.astype(np.float64))
     is_mutual = partners.query[train] == np.arange(len(train))

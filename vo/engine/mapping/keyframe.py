@@ -100,12 +100,7 @@ class Keyframe:
     velocity: Velocity | None = None
 
     def undistort(self, rig: RectifiedRig, inverse_depth: Floats) -> None:
-        """Compute ideal pixels anew, after the lens or the velocity was corrected.
-
-        Args:
-            rig: the rectified cameras.
-            inverse_depth: (n,) of the landmarks that it observes, NaN where unknown.
-        """
+        """Compute ideal pixels anew, by inverse depths (n,) of its landmarks, NaN where unknown."""
         usual = usual_inverse_depth(inverse_depth)
         near = np.where(np.isnan(inverse_depth), usual, inverse_depth)
         self.xy = at_middle_row(rig, self.image_xy, near, self.velocity)

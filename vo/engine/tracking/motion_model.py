@@ -31,9 +31,7 @@ class PosePrior(NamedTuple):
     def fused(self, cam_from_world: Floats, information: Floats) -> Floats:
         """cam_from_world (4, 4) of a measured pose and this one, weighted by their information.
 
-        Args:
-            cam_from_world: (4, 4) as measured.
-            information: (6, 6) of that, for exp(xi) @ cam_from_world.
+        `information`: (6, 6) for exp(xi) @ cam_from_world.
         """
         off = se3_log(inverse(self.world_from_cam) @ inverse(cam_from_world))
         # A tangent on the right of world_from_cam is the negative one on the left of its inverse.

@@ -192,6 +192,11 @@ def inertial_warnings(use: InertialUse | None, poses: int = 0, orientations: int
 
 
 def _time_offset_warnings(use: InertialUse) -> list[str]:
+    if use.stamp_sigma_s:
+        return [
+            f"stamps of images vary by {1e3 * use.stamp_sigma_s:.2g} ms (one standard deviation): "
+            "the inertial sensor agrees with them at regular times only, which were used"
+        ]
     if abs(use.used_time_offset_s - use.given_time_offset_s) <= _MAX_TIME_OFFSET_S:
         return []
     used, given = 1e3 * use.used_time_offset_s, 1e3 * use.given_time_offset_s
