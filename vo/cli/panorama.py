@@ -34,20 +34,20 @@ def panorama_command(
 ) -> None:
     """Stitch images that overlap by about a third into one picture.
 
-    Seams, exposure and the projection onto a sphere are OpenCV's. Images
-    that fit to no other are left out and named.
+    With a calibration, or that of a recording, by the camera's rotations.
+    Seams, exposure and the projection onto a sphere are OpenCV's. Images that
+    fit to no other are left out and named.
 
     From photos of a camera that was turned in one place:
 
       vo panorama left.jpg middle.jpg right.jpg -o panorama.jpg
     """
-    from vo.base.config import load_config
     from vo.cli.echo import echo
     from vo.outputs.results.output_paths import refuse_to_overwrite
     from vo.recordings.formats.calibration import read_calibration
     from vo.recordings.sources.listing import list_images
+    from vo.recordings.sources.single_image import read_single_image
     from vo.tools.drawing import check_picture, write_picture
-    from vo.tools.pairs.image_pair import PairOptions
     from vo.tools.pairs.pair_options import check_cameras
     from vo.tools.pairs.stitching import panorama, read_in_colour
 
@@ -58,14 +58,14 @@ def panorama_command(
     refuse_to_overwrite([*(Path(each) for each in given), calibration], [output])
     with printing.warnings(), printing.errors.status("stitching"):
         shots = [read_in_colour(each) for each in given]
-        camera = None
+        camera = read_single_image(given[0]).camera  # of a recording
         if calibration is not None:
             height, width = shots[0].shape[:2]
             camera = read_calibration(calibration, (width, height)).rig.cam0
+        if camera is not None:
             for name, shot in zip(given, shots, strict=True):
                 check_cameras((camera, camera), (shot[:, :, 0],) * 2, (name, name))
-        config = load_config("default", ["features.detector=sift"])
-        picture = panorama(shots, given, camera, flat=flat, options=PairOptions(config))
+        picture = panorama(shots, given, camera, flat=flat)
         write_picture(output, picture)
     height, width = picture.shape[:2]
     printing.show(

@@ -12,10 +12,15 @@ from two_images import CAMERA, MOTION, layered_pair, plane_homography, plane_pai
 from typer.testing import CliRunner, Result
 
 import vo
+from vo.base.config import load_config
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import se3_exp
 from vo.base.types import Camera, Rig
 from vo.cli.app import app
+from vo.tools.pairs.image_pair import PairOptions
+from vo.tools.pairs.turned_views import find_turns
+
+DETECTOR = "features.detector=sift"
 
 
 def run(*words: object) -> Result:
@@ -69,6 +74,27 @@ def test_panorama_is_wider_than_its_images(tmp_path: Path) -> None:
     assert record["width"] > 400 and 200 < record["height"] < 300
     assert "other.png" in result.stderr and "left out" in result.stderr
     assert "camera moved" not in result.stderr
+
+
+def test_views_of_a_calibrated_camera_are_placed_by_their_rotations(tmp_path: Path) -> None:
+    """Views that overlap by nine tenths hardly show the focal length, which is known."""
+    wide, options = texture(5, 900, 1600), PairOptions(load_config("default", [DETECTOR]))
+    matrix, shift = CAMERA.matrix, np.array([[1, 0, 640], [0, 1, 330], [0, 0, 1]], np.float64)
+    views = []
+    for number in range(3):
+        turn = se3_exp(np.array([0.0, np.deg2rad(3.0) * (number - 1), 0.0, 0, 0, 0]))[:3, :3]
+        homography = shift @ matrix @ turn @ np.linalg.inv(matrix)
+        grey = cv2.warpPerspective(wide, homography, (320, 240), flags=cv2.WARP_INVERSE_MAP)
+        views.append(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
+    found = find_turns(views, CAMERA, options)
+    assert sorted(found.rotations) == [0, 1, 2] and not found.camera_moved
+    for a, b in ((0, 1), (1, 2)):
+        turn = found.rotations[a].T @ found.rotations[b]
+        assert np.rad2deg(np.linalg.norm(cv2.Rodrigues(turn)[0])) == pytest.approx(3.0, abs=0.1)
+    picture = vo.panorama(views, calibration=CAMERA)
+    half = np.arctan(160.0 / CAMERA.fx) + np.deg2rad(3.0)
+    assert picture.shape[1] == pytest.approx(2.0 * half * CAMERA.fx, abs=4)
+    assert (picture[40:-40, 10:-10].max(axis=2) == 0).mean() < 0.002  # no gap
 
 
 def test_panorama_of_unrelated_images_is_refused(tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from vo.base.config import load_config
 from vo.base.errors import ConfigError, InputError
 from vo.base.geometry.cameras import distort
 from vo.base.types import Bytes, Camera, Floats
@@ -17,10 +18,15 @@ from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.single_image import read_single_image
 from vo.tools.drawing import write_picture
 from vo.tools.pairs.image_pair import ImagePair, PairMatcher, PairOptions
+from vo.tools.pairs.turned_views import compose, find_turns
 from vo.tools.pairs.two_view_records import ModelKind
 
 _log = logging.getLogger(__name__)
 _MAX_SIDE = 4  # of a warped picture, in those of its images
+_MOVED = (
+    "the camera moved between the images: near things may be doubled or cut; turn the camera in "
+    "one place"
+)
 _FAILURES = {
     cv2.Stitcher_ERR_NEED_MORE_IMGS: "the images do not overlap enough",
     cv2.Stitcher_ERR_HOMOGRAPHY_EST_FAIL: "no homographies connect the images",
@@ -97,18 +103,15 @@ def _warped(first: Bytes, second: Bytes, homography: Floats) -> Bytes:
 
 
 def panorama(
-    images: Sequence[Bytes],
-    names: Sequence[str],
-    camera: Camera | None = None,
-    *,
-    flat: bool = False,
-    options: PairOptions | None = None,
+    images: Sequence[Bytes], names: Sequence[str], camera: Camera | None, *, flat: bool = False
 ) -> Bytes:
-    """One picture (H, W, 3) BGR of images that were taken from one place, by OpenCV's stitching.
+    """One picture (H, W, 3) BGR of images that were taken from one place.
 
-    `images`: (H, W, 3) BGR. `camera`: whose lens distortion is removed. `flat`: a plane seen from
-    several places instead, such as a page or the ground. `options`: of the check that images were
-    taken from one place, which is told otherwise; None for no check.
+    By the rotations of a known camera, otherwise by OpenCV's stitching, which guesses the focal
+    length. A warning says so if the camera was moved.
+
+    `images`: (H, W, 3) BGR. `camera`: None if unknown. `flat`: a plane seen from several places
+    instead, such as a page or the ground.
 
     Raises:
         InputError: less than two images, or they do not fit together.
@@ -116,6 +119,12 @@ def panorama(
     if len(images) < 2:
         raise InputError("a panorama is made of two images or more")
     images = [undistorted(image, camera) for image in images]
+    options = PairOptions(load_config("default", ["features.detector=sift"]))
+    if camera is not None and not flat:
+        views = find_turns(images, camera, options)
+        _warn_of(names, views.rotations, _MOVED if views.camera_moved else "")
+        used_images = {number: images[number] for number in views.rotations}
+        return compose(used_images, views.rotations, camera)
     cv2.setRNGSeed(0)
     stitcher = cv2.Stitcher.create(cv2.Stitcher_SCANS if flat else cv2.Stitcher_PANORAMA)
     try:
@@ -126,22 +135,23 @@ def panorama(
         reason = _FAILURES.get(status, "they do not fit together")
         raise InputError(f"no panorama: {reason}; give images in order that overlap by a third")
     used = [int(number) for number in np.ravel(stitcher.component())]
-    left_out = [name for number, name in enumerate(names) if number not in used]
-    if left_out:
-        _log.warning("left out, as they fit to no other: %s", ", ".join(left_out))
-    if options is not None and not flat:
-        _warn_of_parallax([images[number] for number in used], options)
+    moved = not flat and _has_parallax([images[number] for number in used], options)
+    _warn_of(names, used, f"{_MOVED}, or give its `calibration`" if moved else "")
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _warn_of_parallax(images: Sequence[Bytes], options: PairOptions) -> None:
-    """Warn if neighbours are better explained by a moved camera than by a turned one."""
+def _has_parallax(images: Sequence[Bytes], options: PairOptions) -> bool:
+    """Whether neighbours are better explained by a moved camera than by a turned one."""
     matcher = PairMatcher(options)
     features = [matcher.extract(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)) for image in images]
     pairs = [matcher.match(*two) for two in zip(features, features[1:], strict=False)]
     moved = [pair for pair in pairs if pair.fit and pair.fit.kind is not ModelKind.HOMOGRAPHY]
-    if 2 * len(moved) > len(pairs):
-        _log.warning(
-            "the camera moved between the images, or its lens distorts them: near things may be "
-            "doubled or cut; turn the camera in one place, or give its `calibration`"
-        )
+    return 2 * len(moved) > len(pairs)
+
+
+def _warn_of(names: Sequence[str], used: Collection[int], more: str) -> None:
+    left_out = [name for number, name in enumerate(names) if number not in used]
+    if left_out:
+        _log.warning("left out, as they fit to no other: %s", ", ".join(left_out))
+    if more:
+        _log.warning("%s", more)
