@@ -55,13 +55,7 @@ def bridge(
 
     The motion begins at the first end and is corrected so that it ends at the last one. The
     difference is spread in proportion to the uncertainty, as by a Kalman smoother.
-
-    Args:
-        first: the end before, with a known velocity.
-        last: the end after.
-        stamps_ns: (n,) increasing, between both.
-        reader: gives the samples.
-        noise: of the sensor.
+    `stamps_ns`: (n,) increasing, between both.
     """
     assert first.velocity is not None
     times = [first.stamp_ns, *stamps_ns.tolist(), last.stamp_ns]

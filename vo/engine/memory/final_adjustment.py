@@ -37,7 +37,8 @@ _log = logging.getLogger(__name__)
 _MAX_KEYFRAMES = 800
 _MIN_KEYFRAMES = 3
 _SESSION = 0  # there is no adjustment in a loaded map
-_MIN_SHARED = 20  # landmarks that a keyframe shares with those before it
+# Landmarks that a keyframe shares with those before it; where there are fewer, a sensor is better.
+_MIN_SHARED, _MIN_SHARED_BY_SENSOR = 20, 60
 _MIN_DECREASE = 1e-6  # of the cost: with 1e-4 steps end before a drift of the scale is gone
 # Residuals in standard deviations above which observations are dropped, after a round and after
 # the last one.
@@ -142,6 +143,7 @@ class FinalAdjustment:
             return None
         rig, rounds = local_map.rig, self._config.refinement.rounds
         smoothing = self._config.smoothing
+        by_sensor = int(registered.world[0]) in self._trajectory.store.metric.worlds_by_sensor
         has_lens_error = rig.k1_error != 0.0 and not rig.is_metric
         inside = loops_inside(registered, loops)
         motions = measured_motions(inside, registered.scale)
@@ -149,7 +151,7 @@ class FinalAdjustment:
         for number in range(rounds + 1):
             if number < rounds:
                 views = rematched(views, measured, rig, self._patches)
-            if not _is_connected(views):
+            if not _is_connected(views, _MIN_SHARED_BY_SENSOR if by_sensor else _MIN_SHARED):
                 return None
             found = adjust_path(
                 with_measured_noise(self._problem(views, rig)),
@@ -184,7 +186,7 @@ class FinalAdjustment:
         kept = with_scale_kept(registered, start, found, np.concatenate(depth), inside)
         if kept is None or covariance is None:
             return kept
-        if int(registered.world[0]) in self._trajectory.store.metric.worlds_by_sensor:
+        if by_sensor:
             return _as_whole_where(kept, registered)  # and errors of metre and vertical stay
         return replace(kept, covariance=covariance)
 
@@ -228,10 +230,10 @@ def _as_whole_where(
     return replace(adjusted, world_from_cam=moved.transform_poses(poses), scale=scale)
 
 
-def _is_connected(views: PathViews) -> bool:
+def _is_connected(views: PathViews, fewest: int) -> bool:
     """Whether each keyframe shares enough landmarks with those before it."""
     first = np.full(len(views.points), len(views.images))
     np.minimum.at(first, views.point, views.keyframe)
     again = views.keyframe[first[views.point] < views.keyframe]
     shared = np.bincount(again, minlength=len(views.images))[1:]
-    return bool((shared >= _MIN_SHARED).all())
+    return bool((shared >= fewest).all())
