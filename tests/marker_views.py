@@ -10,8 +10,8 @@ import numpy as np
 from vo.base.geometry.cameras import distort, normalise
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Bytes, Camera, Floats
-from vo.engine.markers.dictionaries import dictionary
 from vo.engine.markers.marker_problem import square_points
+from vo.tools.markers.patterns import marker_cells, square_cells
 
 SUPERSAMPLING = 4
 
@@ -27,9 +27,7 @@ class Placed(NamedTuple):
 
 def texture(name: str, number: int) -> Bytes:
     """A marker of one pixel for each cell, with a white margin of one cell."""
-    markers = dictionary(name)
-    cells = int(markers.markerSize) + 2
-    return np.pad(np.asarray(markers.generateImageMarker(number, cells)), 1, constant_values=255)
+    return np.pad(marker_cells(name, number), 1, constant_values=255)
 
 
 def render(
@@ -39,7 +37,8 @@ def render(
     image = background.astype(np.float64)
     pattern = texture(placed.name, placed.id)
     cells = len(pattern) - 2
-    outer = square_points(placed.length_m * (cells + 2) / cells)
+    size = placed.length_m / square_cells(placed.name)  # of a cell
+    outer = square_points(size * (cells + 2))
     low, high = _box(camera, placed.cam_from_marker, outer)
     if (high <= low).any():
         return image
@@ -53,7 +52,6 @@ def render(
     directions = np.column_stack([rays, np.ones(len(rays))])
     depth = (normal @ translation) / (directions @ normal)
     on_plane = (directions * depth[:, None] - translation) @ rotation
-    size = placed.length_m / cells
     column = np.floor(on_plane[:, 0] / size + cells / 2 + 1).astype(np.int64)
     row = np.floor(cells / 2 + 1 - on_plane[:, 1] / size).astype(np.int64)
     inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < cells + 2) & (depth > 0)

@@ -126,14 +126,21 @@ def test_a_printed_sheet_has_the_size_it_says(tmp_path: Path) -> None:
     assert "--print needs --length" in missing.stderr
 
 
-@pytest.mark.parametrize("kind", ["grid", "charuco"])
+@pytest.mark.parametrize(
+    ("kind", "dictionary", "gap"),
+    [
+        ("grid", "4X4_50", "0.01"),
+        ("charuco", "4X4_50", "0.01"),
+        ("grid", "tagStandard41h12", "0.03"),
+    ],
+)
 def test_a_printed_board_is_the_one_that_is_found(
-    kind: str, tmp_path: Path, calibration: Path
+    kind: str, dictionary: str, gap: str, tmp_path: Path, calibration: Path
 ) -> None:
     pytest.importorskip("matplotlib")
     sheet = tmp_path / "board.png"
-    board = ["--board", kind, "--columns", "4", "--rows", "3", "--dictionary", "4X4_50"]
-    board += ["--length", "0.03", "--gap", "0.01", "--square", "0.04"]
+    board = ["--board", kind, "--columns", "4", "--rows", "3", "--dictionary", dictionary]
+    board += ["--length", "0.03", "--gap", gap, "--square", "0.04"]
     result = CliRunner().invoke(app, ["markers", "--print", str(sheet), *board])
     assert result.exit_code == 0, result.output
     assert kind in result.stderr and "4 x 3" in result.stderr

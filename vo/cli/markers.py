@@ -75,7 +75,8 @@ class Request:
         show_default="no poses",
     )
     dictionary: str = option(
-        "Dictionary, such as tag36h11, 4X4_50 or DICT_6X6_250; auto: the one that the images show.",
+        "Dictionary, such as tag36h11, tagStandard41h12, 4X4_50 or DICT_6X6_250; auto: the one "
+        "that the images show.",
         default="auto",
         metavar="NAME",
     )

@@ -35,6 +35,7 @@ from vo.tools.markers.consistency import consistent
 from vo.tools.markers.detection import MIN_SIDE_PX, MarkerDetector, Refinement, make_detector
 from vo.tools.markers.image_markers import FrameMarkers
 from vo.tools.markers.marker_map import read_marker_map
+from vo.tools.markers.patterns import square_colour
 from vo.tools.markers.picture import draw_markers
 from vo.tools.markers.printing import parse_ids, save_grid, save_sheet
 from vo.tools.markers.search import MarkerFinder, find_too_small
@@ -98,7 +99,8 @@ def write_sheet(request: Request, *, is_json: bool) -> None:
         echo_json({"output": str(path), "dictionary": name, "ids": numbers, "length_m": length_m})
         return
     size = f"{what} of {name}, {1000 * length_m:g} mm"
-    echo(f"{path}: {size}; print at 100 % and measure the black square", err=True)
+    colour = square_colour(name)
+    echo(f"{path}: {size}; print at 100 % and measure the {colour} square", err=True)
 
 
 def run_request(request: Request, console: Console) -> MarkersResult:

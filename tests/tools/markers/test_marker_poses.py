@@ -9,7 +9,7 @@ from marker_views import Placed, developed, looking_at, random_background, rende
 
 from vo.base.geometry.transforms import inverse, rotation_angle, se3_log
 from vo.base.types import Bytes, Camera, Floats
-from vo.engine.markers.dictionaries import dictionary
+from vo.engine.markers.dictionaries import STANDARD, dictionary
 from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.detection import MarkerDetector, Refinement, find_dictionary
 from vo.tools.markers.image_markers import PlanePose
@@ -43,7 +43,7 @@ def _errors(pose: PlanePose, truth: Floats) -> tuple[float, float]:
     return 1e3 * float(apart), float(np.rad2deg(turned))
 
 
-@pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_36H11", "ARUCO_ORIGINAL"])
+@pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_36H11", "ARUCO_ORIGINAL", STANDARD])
 def test_a_pose_at_one_metre_is_right_to_half_a_millimetre(
     camera: Camera, rng: np.random.Generator, name: str
 ) -> None:
@@ -124,7 +124,7 @@ def test_part_of_a_side_may_be_covered(camera: Camera, rng: np.random.Generator)
     assert turned_deg < 0.3
 
 
-@pytest.mark.parametrize("name", ["4X4_50", "5X5_100", "APRILTAG_36H11", "APRILTAG_16H5"])
+@pytest.mark.parametrize("name", ["4X4_50", "5X5_100", "APRILTAG_36H11", "APRILTAG_16H5", STANDARD])
 def test_auto_finds_the_dictionary(camera: Camera, rng: np.random.Generator, name: str) -> None:
     images = []
     for n in (1, 13, 20):

@@ -14,21 +14,24 @@ from vo.base.types import Ints
 
 AUTO = "auto"
 DEFAULT_TO_PRINT = "APRILTAG_36H11"
+STANDARD, _STANDARD_COUNT = "APRILTAG_STANDARD41H12", 2115  # which OpenCV does not have
 _SIZES = (50, 100, 250, 1000)  # of the dictionaries of OpenCV that contain each other
-# The largest one of each kind; smaller ones are their beginnings.
+# The largest one of each kind; smaller ones are their beginnings. OpenCV's are first.
 CANDIDATES = (
     *(f"{n}X{n}_1000" for n in (4, 5, 6, 7)),
     "ARUCO_ORIGINAL",
     "ARUCO_MIP_36H12",
     *(f"APRILTAG_{name}" for name in ("16H5", "25H9", "36H10", "36H11")),
+    STANDARD,
 )
 
 
 @lru_cache(maxsize=1)
 def known_dictionaries() -> dict[str, int]:
-    """OpenCV's dictionaries by name, such as `4X4_50`."""
+    """Dictionaries by name, such as `4X4_50`, with OpenCV's number, -1 for `STANDARD`."""
     names = [name for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper()]
-    return {name.removeprefix("DICT_"): int(getattr(cv2.aruco, name)) for name in names}
+    numbers = {name.removeprefix("DICT_"): int(getattr(cv2.aruco, name)) for name in names}
+    return {**numbers, STANDARD: -1}
 
 
 def dictionary_name(given: str) -> str:
@@ -56,7 +59,7 @@ def dictionary(name: str) -> Any:
 
 def marker_count(name: str) -> int:
     """Number of markers of a dictionary."""
-    return len(dictionary(name).bytesList)
+    return _STANDARD_COUNT if name == STANDARD else len(dictionary(name).bytesList)
 
 
 def is_same_kind(first: str, second: str) -> bool:

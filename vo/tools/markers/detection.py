@@ -12,9 +12,21 @@ import numpy as np
 
 from vo.base.errors import ConfigError
 from vo.base.types import Bytes, Camera, Floats
-from vo.engine.markers.dictionaries import AUTO, CANDIDATES, dictionary, smallest_containing
+from vo.engine.markers.dictionaries import (
+    AUTO,
+    CANDIDATES,
+    STANDARD,
+    dictionary,
+    smallest_containing,
+)
 from vo.tools.markers.edge_lines import refine_corners
 from vo.tools.markers.image_markers import DetectedMarker
+from vo.tools.markers.patterns import (
+    marker_cells,
+    outer_cells,
+    square_cells,
+    standard_number,
+)
 
 _SUBPIX_SIGMA_PX, _APRILTAG_SIGMA_PX, _RAW_SIGMA_PX = 0.15, 0.12, 0.6
 _MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show; of small ones, of which
@@ -23,6 +35,8 @@ _MIN_STRONG_CORRELATION = 0.88  # so many cells:
 _STRONG_CELLS = 6
 _ENLARGED, _MAX_ENLARGED_PIXELS = 2, 3e7
 _LARGEST_PX = 30.0  # side of a marker that is also searched in the enlarged image
+_STANDARD_DISTANCE_RATE = 0.05  # of the outline of a standard tag's square, to the next one
+_MAX_WRONG, _MAX_WRONG_BEFORE = 3, 10  # of 41 bits of which others have 12; before refinement
 _CELL_PX = 8  # of a marker seen from the front, for that comparison
 _MIN_LEAD = 2  # markers by which a dictionary is ahead of the next one
 MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
@@ -56,12 +70,16 @@ class MarkerDetector:
         self.name = name
         self._refinement = refinement
         self._small = small
-        self._dictionary = dictionary(name)
-        self.cells = int(self._dictionary.markerSize) + 2
-        self._detector = cv2.aruco.ArucoDetector(
-            self._dictionary, _parameters(refinement, is_strict=is_strict)
-        )
+        self.cells = square_cells(name)
         self._is_strict = is_strict
+        # OpenCV finds the squares of standard tags, but does not know their codes.
+        self._is_standard = name == STANDARD
+        if self._is_standard and refinement in (Refinement.SUBPIX, Refinement.APRILTAG):
+            raise ConfigError(
+                f"`refinement` is {refinement}, which OpenCV does not have for {name}; use lines"
+            )
+        self._dictionary = dictionary("7X7_50" if self._is_standard else name)
+        self._detector = cv2.aruco.ArucoDetector(self._dictionary, self._parameters())
 
     def detect(self, image: Bytes, camera: Camera | None = None) -> list[DetectedMarker]:
         """The markers of an image (H, W), by increasing id, and from top to bottom.
@@ -69,19 +87,26 @@ class MarkerDetector:
         `image`: uint8, as recorded. `camera`: whose lens bends straight lines; None without
         distortion.
         """
+        # In inverted grey levels the white square of a standard tag is a black one.
+        image = ~image if self._is_standard else image
         markers = self._found(self._detector, image, camera, 1)
         if self._small and image.size * _ENLARGED**2 <= _MAX_ENLARGED_PIXELS:
             size = image.shape[1] * _ENLARGED, image.shape[0] * _ENLARGED
             large = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
             detector = cv2.aruco.ArucoDetector(self._dictionary, self._of_small(max(size)))
             for marker in self._found(detector, large, camera and _enlarged(camera), _ENLARGED):
-                if not any(_is_same(marker, other) for other in markers):
-                    markers.append(marker)
+                _add(markers, marker)
         return sorted(markers, key=lambda each: (each.id, *each.corners.mean(axis=0)[::-1]))
+
+    def _parameters(self) -> Any:
+        parameters = _parameters(self._refinement, is_strict=self._is_strict)
+        if self._is_standard:  # whose squares are in others
+            parameters.minMarkerDistanceRate = _STANDARD_DISTANCE_RATE
+        return parameters
 
     def _of_small(self, longest_px: int) -> Any:
         """Parameters for small markers in the enlarged image."""
-        parameters = _parameters(self._refinement, is_strict=self._is_strict)
+        parameters = self._parameters()
         parameters.maxMarkerPerimeterRate = 4.0 * _ENLARGED * _LARGEST_PX / longest_px
         parameters.minMarkerPerimeterRate = min(0.02, 4.0 * _ENLARGED * 10.0 / longest_px)
         parameters.perspectiveRemovePixelPerCell = 8
@@ -92,17 +117,20 @@ class MarkerDetector:
         self, detector: Any, image: Bytes, camera: Camera | None, scale: int
     ) -> list[DetectedMarker]:
         """Markers of an image enlarged by a scale, in pixels of the original."""
-        found, ids, _ = detector.detectMarkers(image)
-        if ids is None:
-            return []
-        markers = []
-        for corners, number in zip(found, np.asarray(ids).ravel().tolist(), strict=True):
+        found, ids, squares = detector.detectMarkers(image)
+        numbers = [] if ids is None else [int(each) for each in np.asarray(ids).ravel()]
+        if self._is_standard:
+            found, numbers = [*found, *squares], [-1] * (len(found) + len(squares))
+        markers: list[DetectedMarker] = []
+        for corners, number in zip(found, numbers, strict=True):
             corners = np.asarray(corners, dtype=np.float64).reshape(4, 2)
-            marker = self._checked(image, int(number), corners, camera, scale)
+            marker = self._checked(image, number, corners, camera, scale)
             if marker is not None and scale > 1:
                 corners = (marker.corners + 0.5) / scale - 0.5
                 marker = DetectedMarker(marker.id, corners, marker.sigma_px / scale)
-            if marker is not None:
+            if marker is not None and self._is_standard:
+                _add(markers, marker)
+            elif marker is not None:
                 markers.append(marker)
         return markers
 
@@ -110,9 +138,19 @@ class MarkerDetector:
         self, image: Bytes, number: int, corners: Floats, camera: Camera | None, scale: int
     ) -> DetectedMarker | None:
         """The marker with refined corners; None if it is a chance likeness."""
+        if self._is_standard:  # a look before what takes longer
+            found = self._standard(image, corners, _MAX_WRONG_BEFORE)
+            if found is None:
+                return None
+            corners = np.roll(corners, found[1], axis=0)
         lines = refine_corners(image, corners, self.cells, camera)
         if lines is None:
             return None
+        if self._is_standard:
+            found = self._standard(image, lines.corners, 0 if self._is_strict else _MAX_WRONG)
+            if found is None or found[1] != 0:
+                return None
+            number = found[0]
         refined = DetectedMarker(number, lines.corners, lines.sigma_px)
         is_small = refined.side_px < scale * MIN_SIDE_PX
         least = _MIN_SMALL_CORRELATION if is_small else _MIN_CORRELATION
@@ -128,19 +166,29 @@ class MarkerDetector:
         }.get(self._refinement, _RAW_SIGMA_PX)
         return DetectedMarker(number, corners, sigma)
 
+    def _standard(self, image: Bytes, corners: Floats, most_wrong: int) -> tuple[int, int] | None:
+        return standard_number(255.0 - self._cell_levels(image, corners), most_wrong)
+
     def _correlation(self, image: Bytes, number: int, corners: Floats) -> float:
         """Correlation of the means of all cells with the marker's pattern."""
-        side = self.cells * _CELL_PX
-        square = np.array([(0, 0), (side, 0), (side, side), (0, side)], dtype=np.float32) - 0.5
-        matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), square)
-        seen = cv2.warpPerspective(image, matrix, (side, side), flags=cv2.INTER_LINEAR)
-        cells = seen.reshape(self.cells, _CELL_PX, self.cells, _CELL_PX)[:, 2:-2, :, 2:-2]
-        means = cells.astype(np.float64).mean(axis=(1, 3)).ravel()
-        pattern = np.asarray(self._dictionary.generateImageMarker(number, self.cells))
-        expected = pattern.astype(np.float64).ravel()
+        means = self._cell_levels(image, corners).ravel()
+        expected = marker_cells(self.name, number).astype(np.float64).ravel()
         if means.std() < 1e-6 or expected.std() < 1e-6:
             return 0.0
-        return float(np.corrcoef(means, expected)[0, 1])
+        correlation = float(np.corrcoef(means, expected)[0, 1])
+        return -correlation if self._is_standard else correlation
+
+    def _cell_levels(self, image: Bytes, corners: Floats) -> Floats:
+        """Mean grey levels (N, N) of the cells of a marker with these corners."""
+        rim = outer_cells(self.name)
+        count = self.cells + 2 * rim
+        low, high = rim * _CELL_PX, (rim + self.cells) * _CELL_PX
+        square = np.array([(low, low), (high, low), (high, high), (low, high)], np.float32) - 0.5
+        matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), square)
+        size = count * _CELL_PX, count * _CELL_PX
+        seen = cv2.warpPerspective(image, matrix, size, flags=cv2.INTER_LINEAR)
+        cells = seen.reshape(count, _CELL_PX, count, _CELL_PX)[:, 2:-2, :, 2:-2]
+        return np.asarray(cells.astype(np.float64).mean(axis=(1, 3)))
 
 
 def _enlarged(camera: Camera) -> Camera:
@@ -151,17 +199,20 @@ def _enlarged(camera: Camera) -> Camera:
     return Camera(*size, fx, fy, cx, cy, camera.distortion_model, camera.distortion)
 
 
-def _is_same(marker: DetectedMarker, other: DetectedMarker) -> bool:
-    """Whether two markers are at one place."""
-    away = np.linalg.norm(marker.corners.mean(axis=0) - other.corners.mean(axis=0))
-    return bool(away < 0.5 * max(marker.side_px, other.side_px))
+def _add(markers: list[DetectedMarker], marker: DetectedMarker) -> None:
+    """Add a marker, unless one at its place is known."""
+    for other in markers:
+        away = np.linalg.norm(marker.corners.mean(axis=0) - other.corners.mean(axis=0))
+        if away < 0.5 * max(marker.side_px, other.side_px):
+            return
+    markers.append(marker)
 
 
 class DictionarySearch:
     """Finds the dictionary whose markers images show, one image after the other."""
 
     def __init__(self) -> None:
-        dictionaries = [dictionary(name) for name in CANDIDATES]
+        dictionaries = [dictionary(name) for name in CANDIDATES if name != STANDARD]
         parameters = _parameters(Refinement.LINES, is_strict=True)
         self._all = cv2.aruco.ArucoDetector(dictionaries, parameters)
         self._single: dict[str, MarkerDetector] = {}
@@ -183,9 +234,9 @@ class DictionarySearch:
 
     def _search(self, image: Bytes, searched: Bytes, *, small: bool) -> None:
         _, ids, _, which = self._all.detectMarkersMultiDict(searched)
-        if ids is not None:
-            for index in sorted(set(np.asarray(which).ravel().tolist())):
-                self._count(CANDIDATES[index], image, small=small)
+        indices = [] if ids is None else sorted(set(np.asarray(which).ravel().tolist()))
+        if not sum(self._count(CANDIDATES[index], image, small=small) for index in indices):
+            self._count(STANDARD, image, small=small)
 
     def found(self, what: str) -> str | None:
         """The dictionary with most markers, the smallest with all ids; None without any marker.
@@ -204,13 +255,14 @@ class DictionarySearch:
             )
         return smallest_containing(best[0], sorted(self._ids[best[0]]))
 
-    def _count(self, name: str, image: Bytes, *, small: bool) -> None:
+    def _count(self, name: str, image: Bytes, *, small: bool) -> int:
         if name not in self._single or small:
             self._single[name] = MarkerDetector(name, is_strict=True, small=small)
         numbers = [marker.id for marker in self._single[name].detect(image)]
         if numbers:
             self._counts[name] += len(numbers)
             self._ids.setdefault(name, set()).update(numbers)
+        return len(numbers)
 
 
 def find_dictionary(images: Iterable[Bytes], what: str) -> str | None:

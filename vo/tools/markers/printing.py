@@ -9,9 +9,10 @@ import numpy as np
 
 from vo.base.errors import ConfigError
 from vo.base.types import Bytes
-from vo.engine.markers.dictionaries import dictionary, marker_count
+from vo.engine.markers.dictionaries import marker_count
 from vo.tools.calibrating.printing import printed_page
 from vo.tools.markers.boards import GridBoard, check_length
+from vo.tools.markers.patterns import marker_cells, outer_cells, square_cells, square_colour
 
 _PAGE_M = 0.190  # usable width of A4
 _LEGEND_M = 0.008
@@ -28,8 +29,7 @@ def save_sheet(path: Path, name: str, ids: Sequence[int], length_m: float) -> No
     """
     check_length(length_m)
     _check_ids(name, ids)
-    cells = int(dictionary(name).markerSize) + 2
-    tile = length_m * (cells + 2) / cells  # with a margin of one cell
+    tile = length_m * len(marker_image(name, ids[0])) / square_cells(name)
     columns = max(1, min(len(ids), int(_PAGE_M / tile)))
     rows = -(-len(ids) // columns)
     width, height = columns * tile, rows * (tile + _LEGEND_M)
@@ -45,7 +45,7 @@ def save_sheet(path: Path, name: str, ids: Sequence[int], length_m: float) -> No
             figure.text(
                 (left + 0.5 * tile) / width,
                 (top - tile - 0.4 * _LEGEND_M) / height,
-                f"{name} {number}, black square {1000 * length_m:g} mm",
+                f"{name} {number}, {square_colour(name)} square {1000 * length_m:g} mm",
                 ha="center",
                 va="center",
                 size=min(9.0, 1500.0 * tile / 25.4),
@@ -55,16 +55,26 @@ def save_sheet(path: Path, name: str, ids: Sequence[int], length_m: float) -> No
 def save_grid(path: Path, name: str, grid: GridBoard) -> None:
     """Write a grid of markers with its gaps; raises as `save_sheet` does."""
     step, length = grid.length_m + grid.gap_m, grid.length_m
-    margin = max(0.5 * length, grid.gap_m, _LEGEND_M)
+    rim = outer_cells(name) * length / square_cells(name)
+    margin = max(0.5 * length, grid.gap_m, _LEGEND_M) + rim
+    if grid.gap_m < 2.0 * rim:
+        raise ConfigError(
+            f"`gap_m` is {grid.gap_m:g} m; markers of {name} also have cells around the square and "
+            f"overlap; use {2.0 * rim:g} or more"
+        )
     width = grid.columns * step - grid.gap_m + 2 * margin
     height = grid.rows * step - grid.gap_m + 2 * margin
     with printed_page(path, width, height, "printed markers") as figure:
         for number in range(grid.columns * grid.rows):
             row, column = divmod(number, grid.columns)
             left, bottom = margin + column * step, height - margin - row * step - length
-            axes = figure.add_axes((left / width, bottom / height, length / width, length / height))
-            image = marker_image(name, number)[1:-1, 1:-1]
-            axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+            across = length + 2.0 * rim
+            axes = figure.add_axes(
+                ((left - rim) / width, (bottom - rim) / height, across / width, across / height)
+            )
+            axes.imshow(
+                marker_cells(name, number), cmap="gray", vmin=0, vmax=255, interpolation="nearest"
+            )
             axes.set_axis_off()
         legend = (
             f"vo markers --board grid --columns {grid.columns} --rows {grid.rows} "
@@ -76,9 +86,7 @@ def save_grid(path: Path, name: str, grid: GridBoard) -> None:
 
 def marker_image(name: str, number: int) -> Bytes:
     """A marker with a white margin of one cell, one pixel for each cell."""
-    markers = dictionary(name)
-    image = markers.generateImageMarker(number, int(markers.markerSize) + 2)
-    return np.pad(np.asarray(image, dtype=np.uint8), 1, constant_values=255)
+    return np.pad(marker_cells(name, number), 1, constant_values=255)
 
 
 def parse_ids(text: str) -> list[int]:
