@@ -141,6 +141,14 @@ def test_an_image_without_markers_shows_none(rng: np.random.Generator) -> None:
     assert find_dictionary([noise, blocks], "the images") is None
 
 
+def test_a_bright_rectangle_in_a_dark_frame_is_no_evidence_of_a_dictionary() -> None:
+    image = np.full((240, 320), 200, np.uint8)
+    image[60:130, 80:150] = np.kron(
+        np.asarray(dictionary("ARUCO_ORIGINAL").generateImageMarker(1023, 7)), np.ones((10, 10))
+    )
+    assert find_dictionary([image], "the image") is None
+
+
 def test_a_marker_that_is_too_small_is_found_for_the_message(
     camera: Camera, rng: np.random.Generator
 ) -> None:

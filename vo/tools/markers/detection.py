@@ -38,6 +38,7 @@ _LARGEST_PX = 30.0  # side of a marker that is also searched in the enlarged ima
 _STANDARD_DISTANCE_RATE = 0.05  # of the outline of a standard tag's square, to the next one
 _MAX_WRONG, _MAX_WRONG_BEFORE = 3, 10  # of 41 bits of which others have 12; before refinement
 _CELL_PX = 8  # of a marker seen from the front, for that comparison
+_PLAIN_FRAME = ("ARUCO_ORIGINAL", 1023)  # a bright rectangle in a dark frame: no evidence
 _MIN_LEAD = 2  # markers by which a dictionary is ahead of the next one
 MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
 
@@ -258,7 +259,8 @@ class DictionarySearch:
     def _count(self, name: str, image: Bytes, *, small: bool) -> int:
         if name not in self._single or small:
             self._single[name] = MarkerDetector(name, is_strict=True, small=small)
-        numbers = [marker.id for marker in self._single[name].detect(image)]
+        found = self._single[name].detect(image)
+        numbers = [each.id for each in found if (name, each.id) != _PLAIN_FRAME]
         if numbers:
             self._counts[name] += len(numbers)
             self._ids.setdefault(name, set()).update(numbers)
