@@ -49,7 +49,7 @@ COMMANDS: dict[str, tuple[Callable[..., Any], ...]] = {
     "calibrate": (vo.calibrate, vo.calibrate_imu),
 }
 # These choose another function.
-FUNCTIONS = {"imu_noise": "calibrate_imu_noise", "print_board": "print_board"}
+FUNCTIONS = {"dense": "dense", "imu_noise": "calibrate_imu_noise", "print_board": "print_board"}
 
 
 def words_of(function: Callable[..., Any]) -> set[str]:

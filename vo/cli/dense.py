@@ -127,12 +127,24 @@ def dense_command(
 
       vo dense out/ --cell 0.1 --band 0.1,0.6 --no-mesh
     """
+    given = files.options(chosen)
+    done = densify_with_progress(run, files.output, source, given, printing)
+    printing.show(lambda: {**done._asdict(), "output": str(done.output)}, lambda: print_dense(done))
+
+
+def densify_with_progress(
+    run: Path,
+    output: Path | None,
+    source: str | None,
+    given: DenseOptions,
+    printing: options.Printing,
+) -> Densified:
+    """Make the results, with a bar, and warn of what is not as one would expect."""
     from vo.cli.progress import frame_bar
     from vo.tools.dense.dense import densify
 
-    given = files.options(chosen)
     with frame_bar(printing.errors, "reading", "depth") as (_, show):
-        done = densify(run, files.output, source, given, progress=show)
+        done = densify(run, output, source, given, progress=show)
     if done.segments > 1:
         echo(
             f"warning: segment {done.segment} of {done.segments} is used; where the others are "
@@ -143,15 +155,13 @@ def dense_command(
         echo(
             "warning: the ground was not found; the grid lies where the lowest points are", err=True
         )
-    printing.show(
-        lambda: {**done._asdict(), "output": str(done.output)},
-        lambda: echo("\n".join(_lines(done))),
-    )
+    return done
 
 
-def _lines(done: Densified) -> list[str]:
+def print_dense(done: Densified) -> None:
+    """Print what was made."""
     mesh = [f"mesh        {done.triangles:,} triangles"] if done.triangles else []
-    return [
+    lines = [
         f"output      {done.output}",
         f"depth       {done.coverage:.0%} of the pixels of {done.keyframes} keyframes, "
         f"to {done.far:.3g} {done.unit}",
@@ -159,3 +169,4 @@ def _lines(done: Densified) -> list[str]:
         *mesh,
         f"files       {', '.join(Path(each).name for each in done.files)}",
     ]
+    echo("\n".join(lines))

@@ -62,6 +62,8 @@ def execute(request: RunRequest) -> None:
         }
         summary = _run(request, config, options, stack)
         _print_result(summary, request, console)
+        if request.outputs.dense and summary.tracked:
+            _make_dense(request)
         if request.viewer.serve:
             signals.obey()  # one of them ends the viewer
     exit_if_insufficient(summary, min_share)
@@ -99,6 +101,17 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
     if printing.json_output or printing.quiet:
         for warning in summary.closing_warnings:
             errors.print(f"warning: {warning}", markup=False, soft_wrap=True)
+
+
+def _make_dense(request: RunRequest) -> None:
+    """Do what `vo dense` does with the run."""
+    from vo.cli.dense import densify_with_progress, print_dense
+    from vo.tools.dense.fusion import DenseOptions
+
+    printing = request.printing
+    done = densify_with_progress(request.output, None, None, DenseOptions(), printing)
+    if not (printing.json_output or printing.quiet or request.outputs.poses_on_standard_output):
+        print_dense(done)
 
 
 def _start_optimizer(request: RunRequest, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:

@@ -260,6 +260,11 @@ class Outputs:
     ply: Path | None = option(
         "Also write the points of the map as a PLY file.", default=None, metavar="FILE"
     )
+    dense: bool = option(
+        "Afterwards also make a cloud, a mesh and a grid in OUTPUT/dense, as vo dense does.",
+        "--dense",
+        default=False,
+    )
     poses: list[str] | None = option(
         "Send each pose at once: - (JSON lines on standard output), udp://HOST:PORT, or "
         "ws://HOST:PORT (a server for Foxglove; ws://:8765 for this machine alone); "

@@ -151,6 +151,18 @@ def test_the_command_and_the_report(stereo: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     page = vo.report(run, images=False).read_text()
     assert page.count('alt="Cloud of points') == 2
+    with (run / "poses.csv").open("a") as file:  # a later run into the same folder
+        file.write("\n")
+    assert 'alt="Cloud of points' not in vo.report(run, images=False).read_text()
+
+
+def test_a_run_that_goes_on_to_its_cloud(room: Path, tmp_path: Path) -> None:
+    call = ["run", str(room), "-o", str(tmp_path / "a"), "--end", "20", "--no-imu", "--dense"]
+    result = CliRunner().invoke(app, call)
+    assert result.exit_code == 0, result.output
+    assert "cloud " in result.stdout and (tmp_path / "a" / "dense" / "mesh.ply").is_file()
+    again = CliRunner().invoke(app, ["run", str(room), "-o", str(tmp_path / "a"), "--end", "20"])
+    assert again.exit_code == 0 and (tmp_path / "a" / "dense" / "mesh.ply").is_file()
 
 
 @pytest.mark.parametrize(

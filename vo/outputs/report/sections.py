@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.files.bounded_documents import load_yaml
+from vo.base.files.bounded_documents import load_json, load_yaml
+from vo.base.files.bounded_files import read_text
 from vo.base.types import Bytes, Ints
 from vo.outputs.report.entry import Entry, Thumbnail
 from vo.outputs.report.markup import Markup, element, inline_svg, join, number, table
@@ -212,10 +215,15 @@ def _embedded(picture: Bytes, caption: str) -> Markup:
 
 
 def dense_views(entry: Entry, title: str) -> Markup:
-    """Pictures of the cloud that `vo dense` has made of the run, if it has."""
-    found = []
+    """Pictures of the cloud that `vo dense` has made of the run, if it has, of these poses."""
+    found: list[Markup] = []
+    folder = entry.run.path / "dense"
+    with suppress(OSError, ValueError, AttributeError):
+        poses = hashlib.sha256((entry.run.path / "poses.csv").read_bytes()).hexdigest()
+        if load_json(read_text(folder / "dense.json")).get("poses_sha256") != poses:
+            return Markup()
     for name, caption in (("above", "from above"), ("turntable", "from four sides")):
-        path = entry.run.path / "dense" / f"{name}.png"
+        path = folder / f"{name}.png"
         picture = cv2.imread(str(path)) if path.is_file() else None
         if picture is not None:
             caption = f"Cloud of points, {caption}, and the path"

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -231,6 +232,7 @@ class Fusion:
             "camera": size | rig.intrinsics._asdict(),
             "ground_from_world": ground_from_world.tolist(),
             "options": asdict(self._options),
+            "poses_sha256": sha256((self._record.path / "poses.csv").read_bytes()).hexdigest(),
         }
         path = self._folder / "dense.json"
         with writing(path), complete_file(path) as file:
