@@ -150,11 +150,18 @@ ROWS = {
     ),
     "one of several": Row(_log("/a", "/b", "/c"), "info log.mcap", r"or one with (--topic \S+)"),
     "a log without calibration": Row(
-        _log("/a", calibrated=False),
-        "info log.mcap",
+        _log("/a", "/b", calibrated=False),
+        "info log.mcap --topic left=/a --topic right=/b",
         r"give a file with (--calibration) FILE",
         lambda: _one_camera(),
         "info log.mcap --calibration walk/calibration.yaml",
+    ),
+    "two topics without roles": Row(
+        _log("/a", "/b", calibrated=False),
+        "info log.mcap --topic /a --topic /b",
+        r"try: vo run log.mcap -o out/log (--topic left=/a --topic right=/b) --calibration",
+        _one_camera,
+        "info log.mcap --topic left=/a --topic right=/b --calibration walk/calibration.yaml",
     ),
     "several places of poses": Row(
         _log_with_poses, "eval a.tum log.mcap", r"choose the truth with (--topic truth=\S+)"

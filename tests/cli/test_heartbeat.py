@@ -11,7 +11,7 @@ import pytest
 
 PROGRAM = """
 import sys, vo.cli.heartbeat as heartbeat
-heartbeat._EVERY_S = 0.2
+heartbeat._EVERY_S = 0.05
 sys.argv = ["vo", *sys.argv[1:]]
 from vo.cli.entry import main
 main()

@@ -241,8 +241,8 @@ def test_exact_positions_move_a_drive_and_others_leave_every_byte(
         rows = zip(truth.stamps_ns.tolist(), (truth.positions + noise).tolist(), strict=True)
         lines = [f"{stamp},{x:.4f},{y:.4f},{z:.4f}" for stamp, (x, y, z) in rows]
         (tmp_path / f"{name}.csv").write_text("\n".join(["stamp_ns,x,y,z", *lines]) + "\n")
-        vo.run(source, tmp_path / name, "fast", gps=str(tmp_path / f"{name}.csv"))
-    vo.run(source, tmp_path / "none", "fast")
+        vo.run(source, tmp_path / name, gps=str(tmp_path / f"{name}.csv"))
+    vo.run(source, tmp_path / "none")
     for table in ("trajectory.tum", "poses.csv", "covariance.csv"):
         assert (tmp_path / "rough" / table).read_bytes() == (tmp_path / "none" / table).read_bytes()
     causal = [(tmp_path / name / "causal.tum").read_bytes() for name in ("exact", "none")]

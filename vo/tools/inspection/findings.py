@@ -197,8 +197,11 @@ def _run_command(report: Report, opened: OpenedRecording) -> str:
     if options != list(opened.options):  # nothing else is known of it
         return shlex.join(["vo", "run", str(path), "-o", _output_of(path), *options])
     if not opened.roles_known and len(report.cameras) > 1:
-        options += ["--topic", f"left={report.cameras[0].name}"]
-        options += ["--topic", f"right={report.cameras[1].name}"]
+        left, right = (camera.name for camera in report.cameras[:2])
+        for number in reversed(range(len(options) - 1)):
+            if options[number] == "--topic" and options[number + 1] in (left, right):
+                del options[number : number + 2]
+        options += ["--topic", f"left={left}", "--topic", f"right={right}"]
     if opened.has_unknown_camera:
         return shlex.join(["vo", "run", str(path), "-o", _output_of(path), *options])
     if opened.rig is None and "--calibration" not in options:
