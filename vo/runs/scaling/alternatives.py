@@ -1,8 +1,8 @@
 """Faults of positions, tried as explanations of how they differ from a path.
 
 A fault is believed where the positions that it would make of the path fit much better than the
-path itself: a receiver that smooths, exchanged columns, a mirrored or stretched frame, heights that
-drift. On a straight road at constant speed none of them shows.
+path itself: a receiver that smooths, exchanged columns, a mirrored or stretched frame. On a
+straight road at constant speed none of them shows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.types import Floats, Ints
 from vo.runs.scaling.fit import PositionFit
-from vo.runs.scaling.height_drift import fit_height_drift
 from vo.runs.scaling.positions import Positions
 from vo.runs.scaling.timed_fit import fit_in_time
 
@@ -59,8 +58,6 @@ class _Alternative(NamedTuple):
     positions: Positions
     xyz: Floats
     limit: tuple[float, float] = _IN_SPACE
-    is_corrected: bool = False  # its positions can be used
-    slope_sigma: float = 0.0
 
 
 def explain(
@@ -80,7 +77,7 @@ def explain(
     sensor = xyz + arms / plain[0].scale
     flat = _fit_flat(given, stamps_ns, sensor)
     best, best_ratio = Explanation("", plain, given), 1.0
-    for tried in _alternatives(given, stamps_ns, sensor, plain):
+    for tried in _alternatives(given, stamps_ns, sensor):
         found = _fit(tried.positions, stamps_ns, tried.xyz)
         if isinstance(found, str) or not _is_comparable(found, plain):
             continue
@@ -91,12 +88,11 @@ def explain(
             other = _fit_flat(tried.positions, stamps_ns, sensor)
             ratio = min(ratio, _ratio(flat, other) if flat and other else 0.0)
         if ratio > max(best_ratio, tried.limit[0] + tried.limit[1] / count):
-            best, best_ratio = Explanation(tried.cause, None, given, tried.slope_sigma), ratio
-            chosen = tried
-    if best.cause and chosen.is_corrected and best_ratio > _IN_SPACE[0] + _IN_SPACE[1] / count:
-        exact = fit_in_time(chosen.positions, stamps_ns, xyz, arms, is_metric=False)
-        fit = None if isinstance(exact, str) else exact
-        return best._replace(fit=fit, positions=chosen.positions)
+            best, best_ratio = Explanation(tried.cause, None, given), ratio
+            exchanged = tried.positions
+    if best.cause == EXCHANGED and best_ratio > _IN_SPACE[0] + _IN_SPACE[1] / count:
+        exact = fit_in_time(exchanged, stamps_ns, xyz, arms, is_metric=False)
+        return Explanation(EXCHANGED, None if isinstance(exact, str) else exact, exchanged)
     if best.cause == EXCHANGED:
         return best._replace(cause=f"it can't be excluded that {EXCHANGED}")
     if best.cause or flat is None or _ratio(plain[0], flat) < 1.0 / _SAME:
@@ -122,23 +118,9 @@ def _fit_flat(given: Positions, stamps_ns: Ints, xyz: Floats) -> PositionFit | N
     return None if isinstance(found, str) else found[0]
 
 
-def _alternatives(
-    given: Positions, stamps_ns: Ints, xyz: Floats, plain: tuple[PositionFit, float]
-) -> Iterator[_Alternative]:
+def _alternatives(given: Positions, stamps_ns: Ints, xyz: Floats) -> Iterator[_Alternative]:
     if given.origin is not None:
-        yield _Alternative(
-            EXCHANGED, _exchanged(given, given.origin), xyz, _POSSIBLE, is_corrected=True
-        )
-        drift = fit_height_drift(given, stamps_ns, xyz, plain)
-        if drift is not None:
-            cause = f"heights drift by {-drift.metres:+.2g} m in {drift.seconds:.2g} s"
-            yield _Alternative(
-                cause,
-                drift.positions,
-                xyz,
-                is_corrected=True,
-                slope_sigma=drift.slope_sigma,
-            )
+        yield _Alternative(EXCHANGED, _exchanged(given, given.origin), xyz, _POSSIBLE)
     for seconds in _SMOOTHED_S:
         cause = (
             "they move at other speeds than the camera at the same time, as those of a receiver "
