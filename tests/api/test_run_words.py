@@ -19,6 +19,7 @@ _IN_PYTHON = {
     **{"duration": "duration_s", "allow_host": "allow_hosts", "allow_origin": "allow_origins"},
     **{"no_imu": "imu", "map_file": "map", "overrides": None, "config": None, "source": None},
     **{"output": None, "json_output": None, "quiet": None, "verbose": None, "profile": None},
+    **{"dense": None},  # the function `vo.dense`
     **{"fail_under": None, "spawn": "viewer", "connect": "viewer", "serve": "viewer"},
 }
 
