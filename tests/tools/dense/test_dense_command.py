@@ -185,6 +185,19 @@ def test_what_cannot_be_is_refused(
     assert result.output.count("\n") == 1
 
 
+def test_a_run_with_too_little_to_see(room: Path, stereo: Path, tmp_path: Path) -> None:
+    vo.run(room, tmp_path / "short", imu=False, end=2)
+    with pytest.raises(vo.SourceError, match="no depth is confirmed by another keyframe"):
+        vo.dense(tmp_path / "short")
+    run = Path(shutil.copytree(stereo, tmp_path / "run"))
+    rows = [row.split(",") for row in (run / "poses.csv").read_text().splitlines()]
+    at = rows[0].index("keyframe")
+    table = [",".join([*row[:at], "0", *row[at + 1 :]]) for row in rows[1:]]
+    (run / "poses.csv").write_text("\n".join([",".join(rows[0]), *table]) + "\n")
+    with pytest.raises(vo.SourceError, match="has no keyframe"):
+        vo.dense(run)
+
+
 def test_a_folder_without_a_run(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["dense", str(tmp_path)])
     assert result.exit_code == 1 and "has no summary.json" in " ".join(result.output.split())

@@ -189,9 +189,18 @@ class Fusion:
             self._posed.append((name, pose))
 
     def finish(self) -> Densified:
-        """Write everything."""
+        """Write everything.
+
+        Raises:
+            SourceError: there is no point.
+        """
         folder, options, keyframes = self._folder, self._options, self._keyframes
         cloud = self._cubes.cloud()
+        if not len(cloud.xyz):
+            raise SourceError(
+                f"{self._record.path}: no depth is confirmed by another keyframe; the camera has "
+                "to move past surfaces with texture, and see them from several places"
+            )
         unit = self._record.unit
         comment = f"{self._record.summary['source']}; lengths in {unit}"
         written = [folder / "cloud.ply", *([options.las] if options.las else ())]

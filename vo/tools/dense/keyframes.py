@@ -9,7 +9,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vo.base.errors import ConfigError
+from vo.base.errors import ConfigError, SourceError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.rectification_maps import wide_maps
 from vo.base.types import Bytes, Floats, Floats32, Frame
@@ -53,6 +53,8 @@ class RunKeyframes:
 
     def __init__(self, record: RunRecord, source: str | None, segment: int | None) -> None:
         poses = {k: pose for k, pose in poses_of(record).items() if pose.is_keyframe}
+        if not poses:
+            raise SourceError(f"{record.path} has no keyframe; its poses are not those of images")
         counts: dict[int, int] = {}
         for pose in poses.values():
             counts[pose.segment] = counts.get(pose.segment, 0) + 1
