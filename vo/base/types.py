@@ -69,23 +69,44 @@ class Camera:
         return self.distortion_model not in ("none", "radtan") or any(self.distortion)
 
 
+class MountedCamera(NamedTuple):
+    """A camera of a rig, and the transform (4, 4) from it to camera 0."""
+
+    camera: Camera
+    cam0_from_cam: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """One camera, with depth or without, or two with the transform between them."""
+    """Cameras that are fixed to each other: one, with depth or without, a pair, or more.
+
+    Attributes:
+        further: cameras 2, 3, and so on, of more than a pair.
+    """
 
     cam0: Camera
     cam1: Camera | None = None
     cam1_from_cam0: Floats | None = None
     has_depth: bool = False
+    further: tuple[MountedCamera, ...] = ()
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
         """The cameras by index."""
-        return (self.cam0,) if self.cam1 is None else (self.cam0, self.cam1)
+        pair = (self.cam0,) if self.cam1 is None else (self.cam0, self.cam1)
+        return pair + tuple(each.camera for each in self.further)
+
+    @property
+    def cam0_from_cams(self) -> Floats:
+        """(n, 4, 4) from each camera to camera 0."""
+        poses = [np.eye(4)]
+        if self.cam1_from_cam0 is not None:
+            poses.append(np.linalg.inv(self.cam1_from_cam0))
+        return np.stack(poses + [each.cam0_from_cam for each in self.further])
 
     @property
     def is_stereo(self) -> bool:
-        """Whether there are two cameras."""
+        """Whether there are two cameras or more."""
         return len(self.cameras) > 1
 
     @property
@@ -106,6 +127,7 @@ class Frame:
         depth: (H, W) float32 metres along the axis of camera 0, 0 where unknown; None without.
         path: the file with the image of camera 0 as recorded, perhaps in colour; None without one.
         mask: (H, W) uint8, 0 where the image of camera 0 is not used, 255 elsewhere; or None.
+        stamps_ns: times of the images by camera, where a rig has no common trigger; or None.
     """
 
     index: int
@@ -114,6 +136,7 @@ class Frame:
     depth: Floats32 | None = None
     path: Path | None = None
     mask: Bytes | None = None
+    stamps_ns: tuple[int, ...] | None = None
 
     @property
     def image0(self) -> Bytes:
