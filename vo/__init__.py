@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from vo.base.geometry.transforms import quat_xyzw_from_rotation
     from vo.base.records.calibration_errors import CalibrationErrors
     from vo.base.records.metric_scale import MetricScale, ScaleFindings, ScaleSource
+    from vo.base.records.snapshot import Snapshot
     from vo.base.types import (
         Camera,
         Estimate,
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
         KeyframePose,
         PredictedPose,
         Rig,
-        Snapshot,
         State,
         Trajectory,
     )
@@ -119,7 +119,7 @@ _DEFINED_IN = {
     "Rig": "vo.base.types:Rig",
     "ScaleFindings": "vo.base.records.metric_scale:ScaleFindings",
     "ScaleSource": "vo.base.records.metric_scale:ScaleSource",
-    "Snapshot": "vo.base.types:Snapshot",
+    "Snapshot": "vo.base.records.snapshot:Snapshot",
     "SourceError": "vo.base.errors:SourceError",
     "State": "vo.base.types:State",
     "Summary": "vo.outputs.results.summary:Summary",

@@ -17,7 +17,8 @@ from vo.base.config import load_config
 from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Estimate, Floats, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats
 from vo.cli.app import app
 from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs

@@ -20,15 +20,8 @@ from vo.base.errors import VoError
 from vo.base.images.given_images import ColourOrder
 from vo.base.records.calibration_errors import CalibrationErrors
 from vo.base.records.inertial_use import InertialUse
-from vo.base.types import (
-    Estimate,
-    KeyframePose,
-    Mode,
-    PredictedPose,
-    Rig,
-    Snapshot,
-    Trajectory,
-)
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, KeyframePose, Mode, PredictedPose, Rig, Trajectory
 from vo.engine.odometry import Odometry as FrameOdometry
 from vo.engine.stages import BUILT_IN, Components
 from vo.outputs.results.output_paths import refuse_to_overwrite

@@ -17,8 +17,9 @@ from vo.base.config import Config
 from vo.base.failures import Failure
 from vo.base.faults import Fault, FaultKind
 from vo.base.records.calibration_errors import CalibrationErrors
+from vo.base.records.snapshot import Snapshot
 from vo.base.stopwatch import Stopwatch, timed
-from vo.base.types import Estimate, Frame, PredictedPose, Rig, Snapshot, State
+from vo.base.types import Estimate, Frame, PredictedPose, Rig, State
 from vo.engine.frontend.lazy_future import LazyFuture
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.learned.inference import networks_used

@@ -10,18 +10,8 @@ import numpy as np
 from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.types import (
-    Estimate,
-    FeatureState,
-    Floats,
-    Floats32,
-    Ints,
-    Landmarks,
-    Sightings,
-    Snapshot,
-    State,
-    View,
-)
+from vo.base.records.snapshot import FeatureState, Snapshot, View
+from vo.base.types import Estimate, Floats, Floats32, Ints, Landmarks, Sightings, State
 from vo.engine.frontend.image_faults import image_defect, missing_content
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.neighbours import far_from

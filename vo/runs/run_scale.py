@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, choose_scales, without_metric
-from vo.base.types import Estimate, Snapshot, Trajectory
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Trajectory
 from vo.engine.map_alignment import MapAlignment
 from vo.engine.trajectory.store import TrajectoryStore
 from vo.outputs.recorders.recorder import Findings, LoopClosures, Recorder

@@ -13,7 +13,8 @@ from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from vo.base.config import Config, FeaturesConfig
 from vo.base.geometry.similarity import Similarity, umeyama
-from vo.base.types import Estimate, Floats, Frame, Rig, Snapshot, State
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats, Frame, Rig, State
 from vo.engine.odometry import Odometry
 
 FPS, FIRST, COUNT = 15.0, 15, 40  # a second after the start, when the walk is under way

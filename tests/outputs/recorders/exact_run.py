@@ -8,18 +8,16 @@ import numpy as np
 
 from vo.base.geometry import cameras
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp, transform_points
+from vo.base.records.snapshot import FeatureState, Snapshot, View
 from vo.base.types import (
     Camera,
     Estimate,
-    FeatureState,
     Floats,
     KeyframePose,
     Landmarks,
     Sightings,
-    Snapshot,
     State,
     Trajectory,
-    View,
 )
 from vo.outputs.recorders.recorder import Recorder
 

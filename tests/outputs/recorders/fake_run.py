@@ -6,18 +6,16 @@ import numpy as np
 
 from vo.base.failures import Failure, FailureReason
 from vo.base.geometry.transforms import make_transform, so3_exp
+from vo.base.records.snapshot import FeatureState, Snapshot, View
 from vo.base.types import (
     Camera,
     Estimate,
-    FeatureState,
     KeyframePose,
     Landmarks,
     Rig,
     Sightings,
-    Snapshot,
     State,
     Trajectory,
-    View,
 )
 from vo.outputs.recorders.recorder import Recorder
 

@@ -13,7 +13,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from rrd import read_rrd
 
-from vo.base.types import Bytes, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Bytes
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.mcap_recorder import McapRecorder
 from vo.outputs.recorders.reconstruction import dimmed

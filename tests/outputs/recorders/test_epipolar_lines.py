@@ -3,7 +3,8 @@ import pytest
 
 from vo.base.geometry import cameras
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp, transform_points
-from vo.base.types import Camera, View
+from vo.base.records.snapshot import View
+from vo.base.types import Camera
 from vo.outputs.recorders.view_layer import epipolar_lines
 
 PLAIN = Camera(width=640, height=480, fx=400.0, fy=410.0, cx=320.0, cy=240.0)

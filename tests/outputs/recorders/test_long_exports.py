@@ -11,7 +11,8 @@ import exact_run
 import numpy as np
 import pytest
 
-from vo.base.types import Estimate, KeyframePose, Landmarks, Rig, Sightings, Snapshot, State
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, KeyframePose, Landmarks, Rig, Sightings, State
 from vo.outputs.recorders.colmap import ColmapRecorder, ImageFolder
 from vo.outputs.recorders.map_spool import LANDMARK_ROW, MapSpool
 from vo.outputs.recorders.ply import PlyRecorder

@@ -13,7 +13,8 @@ import pytest
 from rrd import STATIC, read_rrd
 
 from vo.base.geometry.transforms import make_transform, so3_exp, transform_points
-from vo.base.types import Estimate, Floats, KeyframePose, Rig, Snapshot, Trajectory
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats, KeyframePose, Rig, Trajectory
 from vo.engine.trajectory.store import TrajectoryStore
 from vo.outputs.recorders import entities, map_layer, settled_layer
 from vo.outputs.recorders.keyframe_history import KeyframeHistory

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Estimate, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate
 
 _MAX_DISAGREEMENT = 3.0  # of two sources, in standard deviations
 _MAX_LENGTH_ERROR = 0.01  # of a path in metres, which is not reported

@@ -10,7 +10,8 @@ import time
 from dataclasses import replace
 from typing import NamedTuple
 
-from vo.base.types import Estimate, KeyframePose, Rig, Snapshot, Trajectory
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, KeyframePose, Rig, Trajectory
 from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, Recorder, TakeSnapshot
 
 _QUEUE_SIZE = 32  # frames; their images take most of the memory

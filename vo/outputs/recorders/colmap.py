@@ -15,7 +15,8 @@ from vo.base.errors import OutputError
 from vo.base.files.bounded_files import read_bytes
 from vo.base.geometry import cameras
 from vo.base.geometry.rectification import rectified_rig
-from vo.base.types import Bytes, Camera, Estimate, Floats32, Rig, Trajectory, View
+from vo.base.records.snapshot import View
+from vo.base.types import Bytes, Camera, Estimate, Floats32, Rig, Trajectory
 from vo.outputs.recorders.map_spool import Model
 from vo.outputs.recorders.ply import MapRecorder
 from vo.outputs.recorders.reconstruction import Reconstruction, camera_of, pinhole_of

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.geometry.transforms import inverse
-from vo.base.types import Floats, KeyframePose, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Floats, KeyframePose
 
 
 class KeyframeChanges(NamedTuple):

@@ -9,7 +9,8 @@ import rerun as rr
 
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
-from vo.base.types import Estimate, Floats, Landmarks, Snapshot, State, Trajectory
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats, Landmarks, State, Trajectory
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.keyframe_history import (
     CausalPath,

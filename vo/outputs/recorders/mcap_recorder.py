@@ -20,17 +20,8 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import register_schema
 
 from vo.base.files.complete_file import writing
-from vo.base.types import (
-    Estimate,
-    FeatureState,
-    Floats,
-    KeyframePose,
-    Landmarks,
-    Rig,
-    Snapshot,
-    Trajectory,
-    View,
-)
+from vo.base.records.snapshot import FeatureState, Snapshot, View
+from vo.base.types import Estimate, Floats, KeyframePose, Landmarks, Rig, Trajectory
 from vo.outputs.recorders.durable_file import DurableFile
 from vo.outputs.recorders.keyframe_history import KeyframeHistory
 from vo.outputs.recorders.reconstruction import camera_of, dimmed

@@ -13,7 +13,8 @@ from vo.base.geometry.quantiles import median, percentiles
 from vo.base.geometry.similarity import Similarity, umeyama
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.records.metric_scale import MetricScale
-from vo.base.types import Bools, Estimate, FeatureState, Floats, Ints, Rig, State, Trajectory, View
+from vo.base.records.snapshot import FeatureState, View
+from vo.base.types import Bools, Estimate, Floats, Ints, Rig, State, Trajectory
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.timelines import Batch, Moment
 

@@ -17,18 +17,8 @@ import numpy as np
 
 from vo.base.geometry.transforms import inverse
 from vo.base.records.metric_scale import MetricScale
-from vo.base.types import (
-    Bytes,
-    Camera,
-    Estimate,
-    Floats,
-    Ints,
-    KeyframePose,
-    Landmarks,
-    Snapshot,
-    Trajectory,
-    View,
-)
+from vo.base.records.snapshot import Snapshot, View
+from vo.base.types import Bytes, Camera, Estimate, Floats, Ints, KeyframePose, Landmarks, Trajectory
 from vo.outputs.recorders.map_spool import (
     LANDMARK_ROW,
     LandmarkRows,

@@ -9,7 +9,8 @@ from typing import Literal, NamedTuple, Protocol
 from vo.base.records.closed_loops import ClosedLoop, Relocalisation
 from vo.base.records.metric_scale import MetricScale
 from vo.base.records.seen_markers import SeenMarkers
-from vo.base.types import Estimate, Rig, Snapshot, Trajectory
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Rig, Trajectory
 
 ImageChoice = Literal["full", "half", "none"]
 TakeSnapshot = Callable[[], Snapshot]

@@ -8,7 +8,8 @@ import rerun as rr
 
 from vo.base.geometry import cameras
 from vo.base.geometry.transforms import inverse, make_transform, quat_xyzw_from_rotation
-from vo.base.types import Bools, Bytes, Estimate, FeatureState, Floats, Floats32, View
+from vo.base.records.snapshot import FeatureState, View
+from vo.base.types import Bools, Bytes, Estimate, Floats, Floats32
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.reconstruction import dimmed
 from vo.outputs.recorders.recorder import ImageChoice

@@ -10,7 +10,8 @@ import numpy as np
 from vo.base.geometry.transforms import inverse
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Estimate, Floats, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats
 from vo.runs.scaling.ground import find_ground
 
 _NAME = "camera height"

@@ -11,7 +11,8 @@ import numpy as np
 from vo.base.errors import SourceError
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Estimate, Floats, Ints, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats, Ints
 from vo.recordings.formats.positions import NS_PER_DAY
 from vo.runs.scaling.alternatives import explain
 from vo.runs.scaling.clock_search import search_clock

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from vo.base.errors import SourceError
 from vo.base.records.metric_scale import MetricScale, ScaleFindings, WheelUse
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Estimate, Floats, Ints, Snapshot
+from vo.base.records.snapshot import Snapshot
+from vo.base.types import Estimate, Floats, Ints
 from vo.engine.trajectory.metric_segments import MetricSegments
 from vo.runs.scaling.path_factors import WayFactors
 from vo.runs.scaling.position_source import MAX_RELATIVE_SIGMA, time_text

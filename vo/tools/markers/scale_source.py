@@ -14,7 +14,8 @@ from vo.base.printable import counted
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.records.seen_markers import MarkerOutline, MarkerSquare, SeenMarkers
-from vo.base.types import Camera, Estimate, Snapshot, View
+from vo.base.records.snapshot import Snapshot, View
+from vo.base.types import Camera, Estimate
 from vo.engine.markers.dictionaries import AUTO, dictionary_name, smallest_containing
 from vo.engine.markers.marker_problem import MarkerView, square_points
 from vo.tools.markers.boards import check_length

@@ -13,17 +13,8 @@ import numpy as np
 from vo.base.errors import ConfigError, SourceError
 from vo.base.failures import describe
 from vo.base.geometry.transforms import inverse
-from vo.base.types import (
-    Bytes,
-    Estimate,
-    FeatureState,
-    Floats,
-    Landmarks,
-    Rig,
-    State,
-    Trajectory,
-    View,
-)
+from vo.base.records.snapshot import FeatureState, View
+from vo.base.types import Bytes, Estimate, Floats, Landmarks, Rig, State, Trajectory
 from vo.outputs.evaluation.plots import axes_from_above
 from vo.outputs.recorders.reconstruction import dimmed
 from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, TakeSnapshot
