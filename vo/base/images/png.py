@@ -88,45 +88,83 @@ def _undo_filters(rows):  # type: ignore[no-untyped-def]
     outside the image; the row holds the differences modulo 256:
     None 0, Sub a, Up b, Average (a + b) // 2, Paeth whichever of a, b, c is nearest to a + b - c.
     The filter is chosen once per row and not per pixel, so that the loops stay without branches.
+    Each pixel of Average and Paeth waits for the one before it, so that two rows of the same
+    filter take as long as one if the second follows one pixel behind the first.
 
     Source: section 9.2, filter types.
     """
     height, width = rows.shape[0], rows.shape[1] - 1
-    image = np.empty((height, width), np.uint8)
+    image = np.empty((height + 1, width), np.uint8)  # the last row is for what is not needed
     above = np.zeros(width, np.uint8)
-    for y in range(height):
-        filtered, row = rows[y], image[y]
-        if filtered[0] == _SUB:
+    y = 0
+    while y < height:
+        filtered, row, kind = rows[y, 1:], image[y], rows[y, 0]
+        has_next = y + 1 < height and rows[y + 1, 0] == kind
+        following = rows[y + 1, 1:] if has_next else filtered
+        next_row = image[y + 1] if has_next else image[height]
+        if kind == _SUB:
             left = np.uint8(0)
             for x in range(width):
-                left = np.uint8(left + filtered[x + 1])
+                left = np.uint8(left + filtered[x])
                 row[x] = left
-        elif filtered[0] == _UP:
+        elif kind == _UP:
             for x in range(width):
-                row[x] = filtered[x + 1] + above[x]
-        elif filtered[0] == _AVERAGE:
-            last = 0
-            for x in range(width):
-                last = (filtered[x + 1] + ((last + above[x]) >> 1)) & 255
-                row[x] = last
-        elif filtered[0] == _PAETH:
-            a, c = np.int32(0), np.int32(0)
-            for x in range(width):
-                b = np.int32(above[x])
-                a = (np.int32(filtered[x + 1]) + _paeth(a, b, c)) & np.int32(255)
-                row[x] = a
-                c = b
+                row[x] = filtered[x] + above[x]
+        elif kind == _AVERAGE:
+            _undo_average(filtered, following, above, row, next_row)
+        elif kind == _PAETH:
+            _undo_paeth(filtered, following, above, row, next_row)
         else:
             for x in range(width):
-                row[x] = filtered[x + 1]
-        above = row
-    return image
+                row[x] = filtered[x]
+        if has_next and kind >= _AVERAGE:
+            y += 1
+        above = image[y]
+        y += 1
+    return image[:height]
+
+
+@compiled
+def _undo_average(first, second, above, row, next_row):  # type: ignore[no-untyped-def]
+    """Two rows of filter Average, see `_undo_filters`."""
+    left, next_left, width = np.int32(0), np.int32(0), len(row)
+    for x in range(width + 1):
+        over = left
+        if x < width:
+            left = (np.int32(first[x]) + ((left + np.int32(above[x])) >> 1)) & np.int32(255)
+            row[x] = left
+        if x > 0:
+            next_left = (np.int32(second[x - 1]) + ((next_left + over) >> 1)) & np.int32(255)
+            next_row[x - 1] = next_left
+
+
+@compiled
+def _undo_paeth(first, second, above, row, next_row):  # type: ignore[no-untyped-def]
+    """Two rows of filter Paeth, see `_undo_filters`."""
+    left, corner, width = np.int32(0), np.int32(0), len(row)
+    next_left, next_corner = np.int32(0), np.int32(0)
+    for x in range(width + 1):
+        over = left
+        if x < width:
+            up = np.int32(above[x])
+            left = (np.int32(first[x]) + _paeth(left, up, corner)) & np.int32(255)
+            corner = up
+            row[x] = left
+        if x > 0:
+            other = np.int32(second[x - 1]) + _paeth(next_left, over, next_corner)
+            next_left = other & np.int32(255)
+            next_corner = over
+            next_row[x - 1] = next_left
 
 
 @compiled
 def _paeth(left, above, corner):  # type: ignore[no-untyped-def]
-    """The neighbour nearest to left + above - corner; ties in the order of the arguments."""
-    to_left, to_above = abs(above - corner), abs(left - corner)
-    to_corner = abs(left + above - 2 * corner)
-    best = above if to_above <= to_corner else corner
-    return left if to_left <= min(to_above, to_corner) else best
+    """The neighbour nearest to p = left + above - corner; ties in the order of the arguments.
+
+    It is the larger of left and above where p lies beyond the smaller, and the reverse: without
+    absolute values, of which the next pixel would have to wait for three.
+    """
+    lower, upper = min(left, above), max(left, above)
+    bound = 3 * corner - above - left
+    nearest = lower if upper <= bound else corner
+    return upper if bound <= lower else nearest
