@@ -271,6 +271,41 @@ def test_exchanged_columns_are_found_and_put_right(tmp_path: Path) -> None:
     np.testing.assert_allclose(feature["geometry"]["coordinates"][0][:2], (8.4, 49.0), atol=1e-4)
 
 
+@pytest.mark.parametrize(("metres", "time_s"), [(20.0, np.inf), (-20.0, np.inf), (20.0, 4.0)])
+def test_heights_that_drift_are_put_right(metres: float, time_s: float) -> None:
+    """A car that starts, on a straight road: a tilt of the path explains a part of the drift."""
+    times = np.arange(0.0, 10.0, 0.1)
+    way = np.column_stack([0.4 * times**2, 0.02 * times**2, 0.0 * times])
+    path = drive(10.0)
+    path.trajectory.world_from_cam[:, :3, 3] = way @ ROTATION / UNIT_M
+    drift = metres * (times / 10.0 if np.isinf(time_s) else np.exp(-times / time_s))
+    noise = np.random.default_rng(0).normal(0.0, 0.15, way.shape)
+    xyz = way + noise + drift[:, None] * (0.0, 0.0, 1.0)
+    unknown = np.full(len(xyz), np.nan)
+    given = Positions("a.csv", "gps", path.trajectory.stamps_ns, xyz, unknown, ORIGIN)
+    source = PositionSource(given)
+    findings = source.measure(path)
+    (scale,) = findings.scales
+    assert scale.value == pytest.approx(UNIT_M, rel=0.01) and scale.relative_sigma < 0.04
+    assert re.search(r"segment 0: heights drift by [+-]\d+ m in 9.9 s, which is", findings.notes[0])
+    heights = source.alignments[0].transform(way @ ROTATION)[:, 2]
+    assert np.ptp(heights) < 3.0
+
+
+def test_a_hill_is_no_drift_of_heights() -> None:
+    """A slope of 20 % from a stop on: heights follow the way, not the time."""
+    times = np.arange(0.0, 10.0, 0.1)
+    path = drive(10.0)
+    way = np.outer(0.4 * times**2, (1.0, 0.05, 0.2))
+    path.trajectory.world_from_cam[:, :3, 3] = way @ ROTATION / UNIT_M
+    xyz = way + np.random.default_rng(0).normal(0.0, 0.15, way.shape)
+    unknown = np.full(len(xyz), np.nan)
+    given = Positions("a.csv", "gps", path.trajectory.stamps_ns, xyz, unknown, ORIGIN)
+    findings = PositionSource(given).measure(path)
+    assert findings.scales[0].value == pytest.approx(UNIT_M, rel=0.01)
+    assert findings.notes == ()
+
+
 def test_rounded_positions_have_the_uncertainty_of_their_digits() -> None:
     """Four decimals of a degree are 11 m; a drive of 160 m is 7 % uncertain by them."""
     for seed in range(5):

@@ -1,8 +1,8 @@
 """Faults of positions, tried as explanations of how they differ from a path.
 
 A fault is believed where the positions that it would make of the path fit much better than the
-path itself: a receiver that smooths, exchanged columns, a mirrored or stretched frame. On a
-straight road at constant speed none of them shows.
+path itself: a receiver that smooths, exchanged columns, a mirrored or stretched frame, heights that
+drift. On a straight road at constant speed none of them shows.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
 from vo.base.types import Floats, Ints
 from vo.runs.scaling.fit import PositionFit
+from vo.runs.scaling.height_drift import find_height_drift
 from vo.runs.scaling.positions import Positions
 from vo.runs.scaling.timed_fit import fit_in_time
 
@@ -58,6 +59,7 @@ class _Alternative(NamedTuple):
     positions: Positions
     xyz: Floats
     limit: tuple[float, float] = _IN_SPACE
+    is_corrected: bool = False  # its positions can be used
 
 
 def explain(
@@ -77,7 +79,7 @@ def explain(
     sensor = xyz + arms / plain[0].scale
     flat = _fit_flat(given, stamps_ns, sensor)
     best, best_ratio = Explanation("", plain, given), 1.0
-    for tried in _alternatives(given, stamps_ns, sensor):
+    for tried in _alternatives(given, stamps_ns, sensor, flat):
         found = _fit(tried.positions, stamps_ns, tried.xyz)
         if isinstance(found, str) or not _is_comparable(found, plain):
             continue
@@ -86,18 +88,23 @@ def explain(
             ratio *= _LATE
         if tried.cause == EXCHANGED:  # heights alone must not decide it
             other = _fit_flat(tried.positions, stamps_ns, sensor)
-            ratio = min(ratio, _ratio(flat, other) if flat and other else 0.0)
+            ratio = min(ratio, _ratio(flat[0], other[0]) if flat and other else 0.0)
         if ratio > max(best_ratio, tried.limit[0] + tried.limit[1] / count):
             best, best_ratio = Explanation(tried.cause, None, given), ratio
-            exchanged = tried.positions
-    if best.cause == EXCHANGED and best_ratio > _IN_SPACE[0] + _IN_SPACE[1] / count:
-        exact = fit_in_time(exchanged, stamps_ns, xyz, arms, is_metric=False)
-        return Explanation(EXCHANGED, None if isinstance(exact, str) else exact, exchanged)
+            chosen = tried
+    if best.cause and chosen.is_corrected and best_ratio > _IN_SPACE[0] + _IN_SPACE[1] / count:
+        exact = fit_in_time(chosen.positions, stamps_ns, xyz, arms, is_metric=False)
+        if isinstance(exact, str):
+            return best
+        slope = (
+            abs(flat[0].scale / exact[0].scale - 1.0) if flat and best.cause != EXCHANGED else 0.0
+        )
+        return Explanation(best.cause, exact, chosen.positions, slope)
     if best.cause == EXCHANGED:
         return best._replace(cause=f"it can't be excluded that {EXCHANGED}")
-    if best.cause or flat is None or _ratio(plain[0], flat) < 1.0 / _SAME:
+    if best.cause or flat is None or _ratio(plain[0], flat[0]) < 1.0 / _SAME:
         return best
-    return best._replace(slope_sigma=abs(flat.scale / plain[0].scale - 1.0))
+    return best._replace(slope_sigma=abs(flat[0].scale / plain[0].scale - 1.0))
 
 
 def _is_comparable(found: tuple[PositionFit, float], plain: tuple[PositionFit, float]) -> bool:
@@ -110,17 +117,25 @@ def _fit(given: Positions, stamps_ns: Ints, xyz: Floats) -> tuple[PositionFit, f
     return fit_in_time(given, stamps_ns, xyz, np.zeros_like(xyz), is_metric=False)
 
 
-def _fit_flat(given: Positions, stamps_ns: Ints, xyz: Floats) -> PositionFit | None:
+def _fit_flat(given: Positions, stamps_ns: Ints, xyz: Floats) -> tuple[PositionFit, float] | None:
     """The fit to positions without heights; None if it is unknown what the heights are."""
     if given.origin is None:
         return None
     found = _fit(replace(given, xyz=given.xyz * (1.0, 1.0, 0.0)), stamps_ns, xyz)
-    return None if isinstance(found, str) else found[0]
+    return None if isinstance(found, str) else found
 
 
-def _alternatives(given: Positions, stamps_ns: Ints, xyz: Floats) -> Iterator[_Alternative]:
+def _alternatives(
+    given: Positions, stamps_ns: Ints, xyz: Floats, flat: tuple[PositionFit, float] | None
+) -> Iterator[_Alternative]:
     if given.origin is not None:
-        yield _Alternative(EXCHANGED, _exchanged(given, given.origin), xyz, _POSSIBLE)
+        exchanged = _exchanged(given, given.origin)
+        yield _Alternative(EXCHANGED, exchanged, xyz, _POSSIBLE, is_corrected=True)
+    error_m = _PATH_ERROR * flat[0].extent_m if flat else 0.0
+    drift = find_height_drift(given, stamps_ns, xyz, flat, error_m) if flat else None
+    if drift and drift.ratio > _IN_SPACE[0] + _IN_SPACE[1] / len(xyz):
+        cause = f"heights drift by {-drift.metres:+.2g} m in {drift.seconds:.2g} s"
+        yield _Alternative(cause, drift.positions, xyz, is_corrected=True)
     for seconds in _SMOOTHED_S:
         cause = (
             "they move at other speeds than the camera at the same time, as those of a receiver "
