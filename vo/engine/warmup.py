@@ -201,10 +201,9 @@ def _stamp() -> Path:
 
 
 def _save_stamp() -> None:
-    """Replace stamps of other versions; nothing if the folder cannot be written to."""
+    """Keep the stamp beside those of other versions; nothing if the folder cannot be written to."""
     stamp = _stamp()
     with suppress(OSError):
         store.create_folder()
-        for other in stamp.parent.glob("warm-*"):
-            other.unlink(missing_ok=True)
         stamp.touch()
+        store.remove_oldest("warm-*")

@@ -155,8 +155,8 @@ def test_what_has_changed_is_compiled_anew(
     before = {f.name for f in (folder / "vo").glob("vo_module.moved-*")}
     assert program(folder, module, helper)[-1].startswith(result)
     after = {f.name for f in (folder / "vo").glob("vo_module.moved-*")}
-    assert len(before) == len(after) == 1
-    assert before != after  # and the old one is gone
+    assert len(before) == 1
+    assert before < after  # an environment with the old one beside this one need not compile
 
 
 def test_comments_and_lines_do_not_matter(folder: Path) -> None:

@@ -161,6 +161,19 @@ def test_a_file_gives_back_what_was_saved(shared: Path, constants: list[Any]) ->
     assert store.load(path.with_name("other-a-b.bin")) is None
 
 
+def test_versions_share_a_folder_and_only_the_oldest_are_removed(shared: Path) -> None:
+    code = machine_code.MachineCode(b"code", "entry", "environment", [])
+    paths = [shared / "vo" / f"name-a-{version:02}.bin" for version in range(10)]
+    other = shared / "vo" / "name_of_another-a-00.bin"
+    store.save(other, code)
+    for age, path in enumerate(paths):
+        store.save(path, code)
+        os.utime(path, ns=(age, age))
+    assert store.load(paths[-3]) == code  # an environment beside this one compiles nothing
+    assert [path for path in paths if path.exists()] == paths[2:]
+    assert other.exists()
+
+
 @needs_root
 @pytest.mark.parametrize("is_full", [False, True])
 def test_a_user_whose_home_is_read_only_has_a_folder_for_temporary_files(

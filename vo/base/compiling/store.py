@@ -31,6 +31,7 @@ _log = logging.getLogger(__name__)
 _MAGIC = b"vo machine code 2\n"
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _MAX_BYTES = 64 * 2**20  # the largest function takes 0.1 MB
+_KEPT = 8  # versions of a file: environments that share a folder must not compile in turn
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _NOWHERE = Path(os.devnull) / "vo"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # nor a waiting pipe
@@ -66,7 +67,7 @@ def load(path: Path) -> MachineCode | None:
 
 
 def save(path: Path, code: MachineCode) -> None:
-    """Save machine code and remove that of older versions of the function.
+    """Save machine code and remove that of the oldest versions of the function.
 
     A folder that cannot be written to is no error, nor are constants other than dtypes, which
     cannot be saved.
@@ -81,15 +82,21 @@ def save(path: Path, code: MachineCode) -> None:
     }
     text = json.dumps(header).encode()
     content = _MAGIC + len(text).to_bytes(4, "little") + text + code.object_file
-    outdated = path.name.rpartition("-")[0]
+    function = path.name.rpartition("-")[0]
     try:
         create_folder()
         _write(path, _digest(path, content) + content)
-        for other in path.parent.glob(f"{outdated}-*"):
-            if other != path:
-                other.unlink(missing_ok=True)
+        remove_oldest(f"{function}-*.bin")
     except OSError as error:
         _announce_loss(str(error) if path.parent != _NOWHERE else "no folder can be written to")
+
+
+def remove_oldest(pattern: str) -> None:
+    """Remove all but the newest files of the folder whose names match a pattern."""
+    with suppress(FileNotFoundError):  # another process has removed one at the same time
+        found = [(path.stat().st_mtime_ns, path) for path in folder().glob(pattern)]
+        for _, path in sorted(found)[:-_KEPT]:
+            path.unlink()
 
 
 @lru_cache(maxsize=1)
