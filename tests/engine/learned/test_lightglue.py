@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -205,3 +206,17 @@ def test_the_number_of_threads_changes_no_bit(lighterglue: Path, threads: int) -
     assert len(found.query) > 150
     for a, b in zip(found, again, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_of_streets_that_look_alike_only_one_and_the_same_has_a_model(
+    lighterglue: Path, shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the first pair 37 matches fit a model, more than chance gives; none is a certain one."""
+    monkeypatch.setenv("VO_MODELS", str(lighterglue.parent))
+    options = ["--detector", "xfeat", "--matcher", "lighterglue", "--json"]
+    here = str(shared_data / "kitti07_mono_000-099")
+    found = []
+    for other in (f"{shared_data / 'kitti_raw_stereo_000-099'}:30", f"{here}:30", f"{here}:20"):
+        result = CliRunner().invoke(app, ["match", f"{here}:10", other, *options])
+        found.append((result.exit_code, json.loads(result.stdout)["failure_reason"]))
+    assert found == [(1, "no_consensus"), (0, None), (0, None)]

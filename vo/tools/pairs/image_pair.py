@@ -20,10 +20,21 @@ from vo.engine.frontend.contracts import FeatureExtractor, Matches, feature_set
 from vo.engine.learned.inference import networks_used
 from vo.tools.pairs.model_selection import fit_best
 from vo.tools.pairs.relative_pose import calibrated_pose, relative_pose
-from vo.tools.pairs.two_view_fit import fit_essential, fit_fundamental, fit_homography
-from vo.tools.pairs.two_view_records import Fit, FitFailure, FitOptions, RelativePose
+from vo.tools.pairs.two_view_fit import evidence, fit_essential, fit_fundamental, fit_homography
+from vo.tools.pairs.two_view_records import (
+    Evidence,
+    Fit,
+    FitFailure,
+    FitFailureReason,
+    FitOptions,
+    RelativePose,
+)
 
 ModelName = Literal["auto", "f", "e", "h"]
+
+# Networks that compare how features lie to each other choose matches that fit together, in
+# unrelated images too: only those that are this certain (1 - probability) count against chance.
+_GUIDED, _MAX_SCORE, _MIN_CERTAIN = ("lightglue", "lighterglue"), 0.4, 4
 
 
 class PairOptions(NamedTuple):
@@ -203,6 +214,8 @@ def _with_geometry(pair: ImagePair, options: PairOptions) -> ImagePair:
     else:
         function = fit_fundamental if options.model == "f" else fit_homography
         found = function(first, second, options.fit, quality)
+    if isinstance(found, Fit) and pair.matcher in _GUIDED:
+        found = _by_certain(found, first, second, quality < _MAX_SCORE, options.fit.threshold_px)
     if isinstance(found, FitFailure):
         return replace(pair, failure=found)
     if matrices is None:
@@ -217,6 +230,22 @@ def _with_geometry(pair: ImagePair, options: PairOptions) -> ImagePair:
     if isinstance(pose, FitFailure):
         return replace(pair, fit=found, pose_failure=pose)
     return replace(pair, fit=found, pose=pose)
+
+
+def _by_certain(
+    fit: Fit, first: Floats, second: Floats, certain: Bools, threshold_px: float
+) -> Fit | FitFailure:
+    """The fit, unless its certain matches are no more than chance would give."""
+    rows = np.flatnonzero(certain & np.isfinite(fit.error_px))
+    inlier = fit.inlier[rows]
+    counted = Evidence(int(inlier.sum()), len(rows), fit.evidence.needed)
+    if len(rows) >= _MIN_CERTAIN:
+        counted = evidence(fit.kind, first[rows], second[rows], inlier, threshold_px)
+    fit = replace(fit, evidence=counted)
+    if counted.is_enough:
+        return fit
+    numbers = (counted.inliers, counted.needed, counted.matches)
+    return FitFailure(FitFailureReason.NO_CONSENSUS, *numbers, fit)
 
 
 def pair_record(pair: ImagePair, options: PairOptions, names: tuple[str, str]) -> dict[str, Any]:
