@@ -1,12 +1,13 @@
-"""Cameras of a recording: presets, or any calibration file."""
+"""Cameras and rigs of a recording: presets, or any calibration file."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from vo.base.settings import find_preset, names_in, preset_folder
-from vo.base.types import Camera, Rig
+from vo.base.types import Camera, MountedCamera, Rig
 from vo.recordings.formats.calibration import read_calibration
 
 
@@ -33,8 +34,7 @@ def camera_file(camera: str | Path) -> Path:
 def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> Rig:
     """Read the cameras of a preset or of a calibration file in any format of `vo run`.
 
-    `scale`: of the image size; the field of view does not change. `mono`: without the second
-    camera.
+    `scale`: of the image size; the field of view does not change. `mono`: the first camera only.
 
     Raises:
         ConfigError: there is no such preset or file.
@@ -44,7 +44,14 @@ def load_rig(camera: str | Path, *, scale: float = 1.0, mono: bool = False) -> R
     cam0 = _scaled(rig.cam0, scale)
     if mono or rig.cam1 is None:
         return Rig(cam0)
-    return Rig(cam0, _scaled(rig.cam1, scale), rig.cam1_from_cam0)
+    return with_cameras(rig, [_scaled(camera, scale) for camera in rig.cameras])
+
+
+def with_cameras(rig: Rig, cameras: Sequence[Camera]) -> Rig:
+    """A rig with other cameras at the same poses."""
+    further = map(MountedCamera, cameras[2:], (each.cam0_from_cam for each in rig.further))
+    cam1 = None if rig.cam1 is None else cameras[1]
+    return replace(rig, cam0=cameras[0], cam1=cam1, further=tuple(further))
 
 
 def _scaled(camera: Camera, scale: float) -> Camera:

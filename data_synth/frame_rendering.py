@@ -16,7 +16,6 @@ from data_synth.scene.shutter import Shutter, moving_shutter, static_shutter
 from data_synth.scene.world import World
 from data_synth.sensor.exposure import AutoExposure, Settings, readout_s
 from data_synth.sensor.photometrics import develop, vignetting
-from vo.base.geometry.transforms import inverse
 from vo.base.types import Bytes, Camera, Floats, Floats32
 
 _PREVIEW_STEP = 8
@@ -88,13 +87,9 @@ def render_frames(
 
 def _camera_setups(plan: Plan) -> tuple[_CameraSetup, ...]:
     rig, strength = plan.recording.rig, plan.recipe.effects.vignetting
-    placed = [(rig.cam0, plan.recording.body_from_cam0)]
-    if rig.cam1 is not None and rig.cam1_from_cam0 is not None:
-        body_from_cam1 = plan.recording.body_from_cam0 @ inverse(rig.cam1_from_cam0)
-        placed.append((rig.cam1, body_from_cam1))
     return tuple(
         _CameraSetup(camera, camera_rays(camera), vignetting(camera, strength), body_from_cam)
-        for camera, body_from_cam in placed
+        for camera, body_from_cam in zip(rig.cameras, plan.recording.body_from_cams, strict=True)
     )
 
 
@@ -119,12 +114,12 @@ def _start_frame(
     pool: ThreadPoolExecutor,
 ) -> _PendingFrame:
     """Start to render the images of a frame, each in a thread of `images`."""
-    world, dropped = _world(plan, index), plan.timing.dropped
+    dropped = plan.timing.dropped
 
     def render_camera(number: int) -> _ImageAndDepth:
-        view = render(
-            world, setups[number].rays, _shutter(plan, setups[number], index, settings), pool
-        )
+        late_s = plan.timing.late_s[number]
+        shutter = _shutter(plan, setups[number], index, settings, late_s)
+        view = render(_world(plan, index, late_s), setups[number].rays, shutter, pool)
         image = develop(
             view.image,
             settings,
@@ -144,18 +139,24 @@ def _start_frame(
     )
 
 
-def _world(plan: Plan, index: int) -> World:
-    """The world with all moving bodies where they are in the middle of the frame's exposure."""
+def _world(plan: Plan, index: int, late_s: float = 0.0) -> World:
+    """The world with all moving bodies where they are in the middle of a camera's exposure."""
     if plan.mover_poses.shape[1] == 0:
         return plan.scene.world
-    return with_bodies(plan.scene.world, plan.mover_poses[index], plan.mover_velocities[index])
+    poses, velocities = plan.mover_poses[index], plan.mover_velocities[index]
+    if late_s:
+        poses = poses.copy()
+        poses[:, :3, 3] += late_s * velocities
+    return with_bodies(plan.scene.world, poses, velocities)
 
 
-def _shutter(plan: Plan, setup: _CameraSetup, index: int, settings: Settings) -> Shutter:
-    """Poses of a camera during the exposure of a frame."""
+def _shutter(
+    plan: Plan, setup: _CameraSetup, index: int, settings: Settings, late_s: float
+) -> Shutter:
+    """Poses of a camera, `late_s` after the first one, during the exposure of a frame."""
     return moving_shutter(
         lambda times_s: plan.path.world_from_body(times_s) @ setup.body_from_cam,
-        time_s=float(plan.path_s[index]),
+        time_s=float(plan.path_s[index]) + late_s,
         rows=setup.camera.height,
         exposure_s=settings.exposure_s,
         readout_s=readout_s(plan.recipe.effects, plan.recipe.fps),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data_synth.cameras import load_rig
+from data_synth.cameras import load_rig, with_cameras
 from data_synth.motion.body_path import poses_at
 from data_synth.motion.imu import measure, with_effects
 from data_synth.motion.motions import looking_aside, make_path, mount
@@ -26,6 +26,7 @@ FIRST_STAMP_NS = 1_700_000_000_000_000_000
 
 _MIN_CLEARANCE_M = 0.3
 _OUT_OF_SIGHT_M = -1e4
+_SIDEWAYS = 0.7  # cosine of the angle to the first camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +66,12 @@ def make_plan(recipe: Recipe) -> Plan:
         laps=recipe.laps,
     )
     path = looking_aside(path, recipe.turns, recipe.turn_s)
-    body_from_cam0 = mount(recipe.motion, scene.course)
+    body_from_cam0 = mount(recipe.motion, scene.course, level=_looks_around(rig))
     timing = make_timing(
         recipe.effects,
         frames=max(1, round(recipe.seconds * recipe.fps)),
         fps=recipe.fps,
-        cameras=2 if rig.is_stereo else 1,
+        cameras=len(rig.cameras),
         seed=recipe.session_seed,
         first_stamp_ns=FIRST_STAMP_NS,
     )
@@ -105,8 +106,11 @@ def make_plan(recipe: Recipe) -> Plan:
 
 def _with_readout(rig: Rig, seconds: float) -> Rig:
     """The rig with the readout time that is rendered, whatever its calibration file has."""
-    cam1 = None if rig.cam1 is None else replace(rig.cam1, readout_s=seconds)
-    return replace(rig, cam0=replace(rig.cam0, readout_s=seconds), cam1=cam1)
+    return with_cameras(rig, [replace(camera, readout_s=seconds) for camera in rig.cameras])
+
+
+def _looks_around(rig: Rig) -> bool:
+    return bool((rig.cam0_from_cams[:, 2, 2] < _SIDEWAYS).any())
 
 
 def _movers(scene: Scene, times_s: Floats, world_from_cam0: Floats) -> tuple[Floats, Floats]:

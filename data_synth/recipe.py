@@ -52,6 +52,9 @@ class Effects(Section):
     jitter: float = Field(
         0.0, ge=0, le=50, description="standard deviation of the stamps, 0.5 ms at 1"
     )
+    stagger: float = Field(
+        0.0, ge=0, le=5, description="time from the first to the last camera of a rig, 40 ms at 1"
+    )
     light: float = Field(
         1.0, gt=0, le=10, description="light on the scene: in a dark room 0.08, with noise=2"
     )
@@ -105,7 +108,7 @@ class Recipe(Section):
     about: str = Field("", description="purpose, in one line")
     world: WorldName = Field("room", description="world to render")
     motion: MotionName = Field("handheld", description="how the camera moves")
-    camera: str = Field("euroc", description="name of a camera, or a calibration file")
+    camera: str = Field("euroc", description="name of a camera or rig, or a calibration file")
     mono: bool = Field(False, description="only the first camera")
     scale: float = Field(
         1.0, gt=0, le=8, description="factor of the image size; the field of view does not change"

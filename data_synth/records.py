@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Floats, Floats32, ImuNoise, Ints, Rig, Trajectory
 
 GRAVITY_M_S2 = 9.81
@@ -80,6 +81,14 @@ class Recording:
 
     def __len__(self) -> int:
         return len(self.cam0_truth)
+
+    @property
+    def body_from_cams(self) -> Floats:
+        """(n, 4, 4) poses of all cameras."""
+        poses, rig = [self.body_from_cam0], self.rig
+        if rig.cam1_from_cam0 is not None:
+            poses.append(self.body_from_cam0 @ inverse(rig.cam1_from_cam0))
+        return np.stack(poses + [self.body_from_cam0 @ each.cam0_from_cam for each in rig.further])
 
     @property
     def path_m(self) -> float:

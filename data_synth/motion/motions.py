@@ -43,13 +43,13 @@ _MIN_CUT_M = 0.06
 _SEED_ROUTE, _SEED_SCHEDULE, _SEED_WANDER = 21, 22, 23
 
 
-def mount(motion: MotionName, course: Course) -> Floats:
+def mount(motion: MotionName, course: Course, *, level: bool = False) -> Floats:
     """body_from_cam0 (4, 4): looking ahead (drones: downward), a few cm off the body's origin.
 
-    A camera that turns on the spot sits close to the axis.
+    A camera that turns on the spot sits close to the axis. `level`: never downward, for a rig.
     """
     carrier = carrier_of(motion, course, polygon_length_m(course.waypoints))
-    down_deg = {"drone": 30.0, "drone_indoors": 5.0}.get(carrier, 0.0)
+    down_deg = 0.0 if level else {"drone": 30.0, "drone_indoors": 5.0}.get(carrier, 0.0)
     cosine, sine = np.cos(np.deg2rad(down_deg)), np.sin(np.deg2rad(down_deg))
     nose_down = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     lever = [0.01, 0.01, 0.0] if motion == "rotate" else [0.05, 0.06, 0.02]

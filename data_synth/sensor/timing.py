@@ -14,6 +14,7 @@ _JITTER_NS = 0.5e6
 _OWN_JITTER = 0.3  # fraction of the deviation that the cameras of a pair do not share
 _MAX_JITTER = 0.45  # of the time between frames, so that stamps stay in order
 _DROPPED = 0.01
+_STAGGER_S, _MAX_STAGGER = 0.04, 0.9  # at most this ratio of the time between frames
 _SEED_DROPS, _SEED_JITTER = 71, 72
 
 
@@ -23,6 +24,7 @@ class Timing:
 
     times_s: Floats  # (F,) true middle of each exposure, seconds from the start
     stamps_ns: tuple[Ints, ...]  # for each camera, (F,) recorded stamps, strictly increasing
+    late_s: tuple[float, ...]  # for each camera, time of its images after those of the first
     dropped: tuple[Bools, ...]  # for each camera, (F,) bool: missing frames
     illumination: Floats  # (F,) light, `effects.light` at the start; 0 for black frames
 
@@ -40,15 +42,21 @@ def make_timing(
     Each effect has its own random numbers, so that effects do not influence each other.
 
     `frames`: number of frames, F. `fps`: frames per second. `cameras`: number of cameras, with a
-    common trigger.
+    common trigger unless `effects.stagger` is given.
     """
     times_s = np.arange(frames) / fps
     illumination = drifting_light(times_s, effects.exposure, seed)
     illumination *= effects.light * dark_intervals(times_s, effects.dark, seed)
     illumination[_blackout(frames, effects.blackout)] = 0.0
+    late_s = tuple(
+        min(effects.stagger * _STAGGER_S, _MAX_STAGGER / fps) * number / max(cameras - 1, 1)
+        for number in range(cameras)
+    )
+    stamps = _stamps(times_s, effects.jitter, fps, cameras, seed, first_stamp_ns)
     return Timing(
         times_s=times_s,
-        stamps_ns=_stamps(times_s, effects.jitter, fps, cameras, seed, first_stamp_ns),
+        stamps_ns=tuple(own + round(1e9 * late) for own, late in zip(stamps, late_s, strict=True)),
+        late_s=late_s,
         dropped=_drops(frames, effects.drops, cameras, seed),
         illumination=illumination,
     )

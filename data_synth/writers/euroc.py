@@ -19,7 +19,6 @@ from data_synth.writers.tables import (
     written_stamps,
     written_truth,
 )
-from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats
 from vo.recordings.formats.calibration import write_calibration
 from vo.recordings.formats.trajectory import write_tum
@@ -82,11 +81,7 @@ def _image_lines(recording: Recording, camera: int, suffix: str) -> Iterator[str
 
 
 def _camera_sensor(recording: Recording, number: int) -> dict[str, Any]:
-    rig = recording.rig
-    camera, body_from_cam = rig.cam0, recording.body_from_cam0
-    if number == 1:
-        assert rig.cam1 is not None and rig.cam1_from_cam0 is not None
-        camera, body_from_cam = rig.cam1, body_from_cam @ inverse(rig.cam1_from_cam0)
+    camera, body_from_cam = recording.rig.cameras[number], recording.body_from_cams[number]
     sensor: dict[str, Any] = {
         "sensor_type": "camera",
         "comment": f"cam{number}",

@@ -17,9 +17,11 @@ from data_synth.writers.tables import (
 from vo.recordings.formats.calibration import write_calibration
 from vo.recordings.formats.trajectory import write_tum
 
+_NAMES = {1: ("",), 2: ("left", "right")}
+
 
 def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -> None:
-    """Write `left/` and `right/`, or for one camera the images into the folder itself.
+    """Write `left/` and `right/`, of more cameras `cam0/`, `cam1/`, …, of one the images alone.
 
     Files are named by the number of the frame, so that both images of a pair have the same name;
     `times.txt` has a line for each left image. Also `calibration.yaml`, `groundtruth.tum` and, if
@@ -29,7 +31,9 @@ def write(path: Path, recording: Recording, shots: Iterator[Shot], codec: str) -
         OSError: a file cannot be written.
         OutputError: the same, of the truth or the calibration.
     """
-    folders = (path / "left", path / "right") if recording.rig.is_stereo else (path,)
+    count = len(recording.rig.cameras)
+    names = _NAMES.get(count) or tuple(f"cam{number}" for number in range(count))
+    folders = [path / name for name in names]
     for folder in folders:
         folder.mkdir(parents=True, exist_ok=True)
     if recording.has_depth:

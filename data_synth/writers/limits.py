@@ -13,11 +13,13 @@ _SAME = 1e-9
 
 
 def check_kitti(rig: Rig, has_drops: bool) -> None:
-    """Check that cameras are ideal and side by side, and that no frame is missing.
+    """Check that one or two cameras are ideal and side by side, and that no frame is missing.
 
     Raises:
         ConfigError: one of these is not so.
     """
+    if rig.further:
+        raise _not_kitti(f"there are {len(rig.cameras)}")
     for name, camera in (("cam0", rig.cam0), ("cam1", rig.cam1)):
         if camera is not None and camera.is_distorted:
             raise _not_kitti(f"{name} is distorted ({camera.distortion_model})")
@@ -40,12 +42,12 @@ def check_tum(rig: Rig, has_drops: bool) -> None:
     """Check that there is one camera.
 
     Raises:
-        ConfigError: there are two.
+        ConfigError: there are more.
     """
     if rig.is_stereo:
         raise ConfigError(
-            "format tum has one camera with depth, but this is a pair; use one camera (`mono`), or "
-            "choose format euroc"
+            f"format tum has one camera with depth, but there are {len(rig.cameras)}; use one "
+            "camera (`mono`), or choose format euroc"
         )
 
 

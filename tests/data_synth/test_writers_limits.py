@@ -89,7 +89,7 @@ def test_kitti_refuses_missing_frames(drops: tuple[tuple[int, ...], ...], tmp_pa
 def test_tum_refuses_a_pair_and_no_depth(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="use one camera .`mono`., or choose format euroc"):
         write_layout("tum", tmp_path / "a", make_recording())
-    with pytest.raises(ConfigError, match="has one camera with depth, but this is a pair"):
+    with pytest.raises(ConfigError, match="has one camera with depth, but there are 2"):
         check(Recipe(format="tum"), PAIR)
     with pytest.raises(ConfigError, match="requires depth, but the recording has none; set depth"):
         write_layout("tum", tmp_path / "a", make_recording(stereo=False, depth=False))

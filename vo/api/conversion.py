@@ -88,6 +88,11 @@ def convert(
     source = opened.source
     if source is None:
         raise SourceError(opened.refusal)
+    if source.rig.further:
+        raise SourceError(
+            f"{source.name} has {len(source.rig.cameras)} cameras; two at most are converted: use "
+            "`mode=stereo` or `mode=mono`"
+        )
     _refuse_existing(output, force)
     plan = _plan(opened, source, settings)
     truth = poses_around(plan.left_ns, source.ground_truth)

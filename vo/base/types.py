@@ -104,6 +104,14 @@ class Rig:
             poses.append(np.asarray(np.linalg.inv(self.cam1_from_cam0)))
         return np.stack(poses + [each.cam0_from_cam for each in self.further])
 
+    def first(self, count: int) -> Rig:
+        """The rig of its first cameras only, without depth if there were more than those."""
+        if count >= len(self.cameras):
+            return self
+        if count == 1:
+            return Rig(self.cam0)
+        return Rig(self.cam0, self.cam1, self.cam1_from_cam0, further=self.further[: count - 2])
+
     @property
     def is_stereo(self) -> bool:
         """Whether there are two cameras or more."""

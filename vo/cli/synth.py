@@ -42,14 +42,16 @@ class Scene:
         "car, robot, handheld, drone, rotate, stop_and_go or loop.", default=None, metavar="MOTION"
     )
     camera: str | None = option(
-        "Name of a camera (see --list), or a calibration file.",
+        "Name of a camera or rig (see --list), or a calibration file with any number of cameras.",
+        "--camera",
+        "--rig",
         default=None,
         metavar="NAME|FILE",
         autocompletion=completion.cameras,
         panel=_CAMERA,
     )
     mono: bool | None = option(
-        "One camera, or two.", "--mono/--stereo", default=None, panel=_CAMERA
+        "The first camera only, or all.", "--mono/--stereo", default=None, panel=_CAMERA
     )
     effects: str | None = option(
         "Image effects: 0 for none, 1 for the usual strength. `none`, alone or first in "
@@ -168,7 +170,8 @@ def _facts(recording: Recording, output: Path, recipe: Recipe) -> dict[str, Any]
     return {
         "output": str(output),
         "format": recipe.format,
-        "mode": "stereo" if recording.rig.is_stereo else "mono",
+        "mode": ("mono", "stereo", "rig")[min(len(recording.rig.cameras), 3) - 1],
+        "cameras": len(recording.rig.cameras),
         "frames": len(recording),
         "seconds": recipe.seconds,
         "path_m": round(recording.path_m, 6),

@@ -47,7 +47,9 @@ def _cameras() -> Table:
         rig = load_rig(name)
         size = f"{rig.cam0.width} x {rig.cam0.height}"
         count = "1"
-        if rig.cam1_from_cam0 is not None:
+        if rig.further:
+            count = str(len(rig.cameras))
+        elif rig.cam1_from_cam0 is not None:
             count = f"2, {1e2 * float((rig.cam1_from_cam0[:3, 3] ** 2).sum()) ** 0.5:.0f} cm apart"
         table.add_row(name, size, rig.cam0.distortion_model, count)
     return table

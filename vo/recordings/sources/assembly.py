@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from vo.base.errors import CalibrationError, NoCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
-from vo.base.types import Camera, Mode, Rig, Trajectory
+from vo.base.types import Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import (
     Calibration,
     ImageSize,
@@ -29,11 +28,23 @@ from vo.recordings.formats.trajectory import read_tum
 from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.depth import UNITS_PER_METRE, DepthImages, associate_depth
 from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels, seems_mosaic
+from vo.recordings.sources.image_sizes import (
+    check_size,
+    first_image,
+    rig_with_images,
+    size_of,
+    usual_size,
+)
 from vo.recordings.sources.images import Pixels, StoredImage
 from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.listing import Shot, median_interval_ns
 from vo.recordings.sources.orientation import warn_of_turned
-from vo.recordings.sources.pairing import constant_offset_ns, pair_by_stamp, shifted
+from vo.recordings.sources.pairing import (
+    associate,
+    constant_offset_ns,
+    pair_by_stamp,
+    shifted,
+)
 from vo.recordings.sources.sequence import ImageSequence, ListedImages
 from vo.recordings.sources.series_content import warn_of_halves
 
@@ -49,6 +60,8 @@ class RecordingContents:
     Attributes:
         left: images of cam0, with increasing stamps.
         right: images of cam1, with increasing stamps; None without a right camera.
+        further: images of cam2, cam3 and so on, used if the calibration names them; None for a
+            camera without images.
         calibrate: reads the calibration, given the size of the images.
         read_truth: reads the ground-truth poses of cam0, or returns None; may raise.
         close: closes the files that images keep open between reads.
@@ -69,12 +82,13 @@ class RecordingContents:
     find_imus: Callable[[Calibration | None], Sequence[Imu]] = lambda _: ()
     right_offset_ns: int | None = None
     faults: Sequence[Fault] = ()
+    further: Sequence[Sequence[Shot] | None] = ()
 
 
 def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     """Create a source, after checking that images and calibration match."""
-    first = _first_image(contents.left)
-    size = _size_of(first)
+    first = first_image(contents.left)
+    size = size_of(first)
     warn_of_turned(contents.name, contents.left)
     if contents.right is None:
         warn_of_halves(contents.name, first)
@@ -84,9 +98,11 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
         if contents.right is None or mode == "mono":
             raise
         raise CalibrationError(str(error)) from error
-    size = _usual_size(contents.left, size, calibration.rig.cam0)
-    _check_size(calibration, calibration.rig.cam0, size, contents.left)
+    size = usual_size(contents.left, size, calibration.rig.cam0)
+    check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
+    if rig.further:
+        return _assemble_rig(contents, calibration, rig, first)
     offset_ns = _right_offset(contents, rig)
     partners = _pair(contents, rig, mode, offset_ns)
     depth = None if partners else _depth(contents, calibration, mode)
@@ -115,6 +131,31 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
             found = Fault(FaultKind.RIGHT_TIME_OFFSET, is_handled=True, value=-1e-6 * offset_ns)
             sequence.faults.append(found)
     return sequence
+
+
+def _assemble_rig(
+    contents: RecordingContents, calibration: Calibration, rig: Rig, first: Pixels
+) -> ImageSequence:
+    """A source of more than two cameras, each of which may have its own stamps."""
+    others, stamps_ns = associate(contents.left, _others(contents)[: len(rig.cameras) - 1])
+    levels = _grey_levels(contents, first, others[0])
+    sequence = ImageSequence(
+        name=contents.name,
+        format=contents.format,
+        rig=rig,
+        ground_truth=_truth(contents, calibration),
+        images=ListedImages(contents.left, others[0], levels, None, others[1:], stamps_ns),
+        close=contents.close,
+        imus=contents.find_imus(calibration),
+    )
+    sequence.faults += [*contents.faults, *_rate_faults(contents)]
+    _log.info("%s: %d frames of %d cameras", contents.name, len(contents.left), len(rig.cameras))
+    return sequence
+
+
+def _others(contents: RecordingContents) -> list[Sequence[Shot]]:
+    """The images of cam1 and all further cameras."""
+    return [shots or () for shots in (contents.right, *contents.further)]
 
 
 def calibration_reader(
@@ -156,17 +197,6 @@ def tum_truth(candidates: Sequence[Path]) -> Trajectory | None:
     """The poses in the first candidate that exists, in TUM's format."""
     file = first_existing(candidates)
     return None if file is None else read_tum(file)
-
-
-def _first_image(shots: Sequence[Shot]) -> Pixels:
-    """The first image that can be read."""
-    reason = ""
-    for shot in shots:
-        try:
-            return shot.image.read()
-        except SourceError as error:
-            reason = reason or str(error)
-    raise SourceError(f"none of {len(shots)} images can be read; first error: {reason}")
 
 
 def _grey_levels(
@@ -218,52 +248,20 @@ def _rate_faults(contents: RecordingContents) -> list[Fault]:
     return [Fault(FaultKind.IMPLAUSIBLE_RATE, is_handled=True, value=rate_hz)]
 
 
-def _size_of(image: Pixels) -> ImageSize:
-    height, width = image.shape
-    return width, height
-
-
-def _usual_size(shots: Sequence[Shot], size: ImageSize, camera: Camera) -> ImageSize:
-    """The size of the calibration if most images have it, though the first one has another."""
-    calibrated = camera.width, camera.height
-    if size == calibrated:
-        return size
-    sizes = []
-    for number in {1, len(shots) // 2, len(shots) - 1} - {0, len(shots)}:
-        with suppress(SourceError):
-            sizes.append(_size_of(shots[number].image.read()))
-    return calibrated if 2 * sizes.count(calibrated) > len(sizes) else size
-
-
-def _check_size(
-    calibration: Calibration, camera: Camera, size: ImageSize, shots: Sequence[Shot]
-) -> None:
-    if (camera.width, camera.height) == size:
-        return
-    file = f" {calibration.file} ({calibration.kind})" if calibration.file else " of the recording"
-    advice = (
-        "it seems to be that of images turned by 90 degrees; give that of the images as stored"
-        if (camera.height, camera.width) == size
-        else "give a calibration for this image size with `calibration=FILE` (for resized images, "
-        "scale its fx, fy, cx and cy as well)"
-    )
-    raise CalibrationError(
-        f"images such as {shots[0].image.name} are {size[0]}x{size[1]}, but the calibration{file} "
-        f"is for {camera.width}x{camera.height}; {advice}"
-    )
-
-
 def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mode) -> Rig:
     """The rig, with cam1 only if `mode` allows it and it has images and a calibration."""
     rig = calibration.rig
     if mode == "mono":
         return Rig(rig.cam0)
+    if mode == "auto" and (many := rig_with_images(contents.name, calibration, _others(contents))):
+        return many
     if not contents.right:
         if mode == "stereo":
             raise SourceError(
                 f"{contents.name} has no images of a right camera; use `mode=mono` or add them"
             )
         return Rig(rig.cam0)
+    rig = rig.first(2)
     if rig.cam1 is None:
         if mode == "stereo":
             raise CalibrationError(
@@ -272,8 +270,8 @@ def _choose_rig(contents: RecordingContents, calibration: Calibration, mode: Mod
             )
         _log.warning("%s: right images not used, because cam1 is not calibrated", contents.name)
         return Rig(rig.cam0)
-    right_size = _usual_size(contents.right, _size_of(_first_image(contents.right)), rig.cam1)
-    _check_size(calibration, rig.cam1, right_size, contents.right)
+    right_size = usual_size(contents.right, size_of(first_image(contents.right)), rig.cam1)
+    check_size(calibration, rig.cam1, right_size, contents.right)
     return rig
 
 

@@ -23,6 +23,7 @@ from vo.recordings.formats.euroc_layout import (
 )
 from vo.recordings.formats.trajectory import read_euroc, read_tum
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
+from vo.recordings.sources.folder import find_times_file
 from vo.recordings.sources.imu import FileImu, imu_of
 from vo.recordings.sources.imu_table import read_imu_table
 from vo.recordings.sources.listing import (
@@ -30,8 +31,11 @@ from vo.recordings.sources.listing import (
     list_images,
     shots_from_names,
     shots_from_table,
+    shots_from_times,
 )
+from vo.recordings.sources.pairing import copy_stamps
 
+_MAX_CAMERAS = 32
 _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 _log = logging.getLogger(__name__)
 
@@ -42,11 +46,14 @@ def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
     root = path / "mav0" if (path / "mav0").is_dir() else path
     top = recording_folder(root)
     faults: list[Fault] = []
+    left = _shots(root / "cam0", faults)
+    others = [_other_shots(folder, left) for folder in camera_folders(root, "cam{}")[1:]]
     return RecordingContents(
         name=top.name,
         format="euroc",
-        left=_shots(root / "cam0", faults),
-        right=_shots(root / "cam1") if (root / "cam1").is_dir() else None,
+        left=left,
+        right=others[0] if others else None,
+        further=others[1:],
         calibrate=calibration_reader(calibration, calibration_files(root)),
         read_truth=lambda loaded: _truth(root, top, loaded),
         find_imus=lambda loaded: euroc_imus(root, loaded, lambda: _body_from_cam0(root, loaded)),
@@ -58,10 +65,33 @@ def _shots(camera: Path, faults: list[Fault] | None = None) -> list[Shot]:
     table, folder = camera / "data.csv", camera / "data"
     if table.is_file():
         return shots_from_table(table, folder, ",", "ns", faults)
+    if not folder.is_dir() and (times := find_times_file(camera, camera.parent)) is not None:
+        return shots_from_times(times, list_images(camera), faults)
+    folder = folder if folder.is_dir() else camera
     shots = shots_from_names(list_images(folder))
     if shots is None:
-        raise SourceError(f"{table} is missing, and the file names in {folder} are not stamps")
+        raise SourceError(
+            f"{table} is missing, there is no times.txt in {camera} or beside it, and the file "
+            f"names in {folder} are not stamps"
+        )
     return shots
+
+
+def _other_shots(camera: Path, left: list[Shot]) -> list[Shot] | None:
+    """The images of a camera beside cam0, with its own stamps, or those of cam0 by name."""
+    if not camera.is_dir():
+        return None
+    is_plain = not (camera / "data").is_dir() and not (camera / "data.csv").is_file()
+    if is_plain and find_times_file(camera) is None:
+        images = list_images(camera)
+        return shots_from_names(images) or copy_stamps(left, images)
+    return _shots(camera)
+
+
+def camera_folders(root: Path, pattern: str) -> list[Path]:
+    """Folders of the cameras 0, 1 and so on up to the last one that exists, such as `cam{}`."""
+    count = max((n for n in range(_MAX_CAMERAS) if (root / pattern.format(n)).is_dir()), default=0)
+    return [root / pattern.format(number) for number in range(count + 1)]
 
 
 def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None:

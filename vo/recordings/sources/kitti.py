@@ -18,6 +18,7 @@ from vo.recordings.formats.calibration import Calibration, ImageSize, kitti, rea
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.formats.trajectory import read_kitti
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
+from vo.recordings.sources.euroc import camera_folders
 from vo.recordings.sources.listing import Shot, list_images, shots_from_times
 from vo.recordings.sources.pairing import copy_stamps
 
@@ -34,11 +35,15 @@ def gather_kitti(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
     )
     faults: list[Fault] = []
     left = shots_from_times(path / "times.txt", list_images(path / folders[0]), faults)
+    # calib.txt has a pair: image_2 and image_3 are the same in colour.
+    is_pair = folders[0] != "image_0" or (calibration is None and (path / "calib.txt").is_file())
+    further = [] if is_pair else camera_folders(path, "image_{}")[2:]
     return RecordingContents(
         name=path.resolve().name,
         format="kitti",
         left=left,
         right=_right(path / folders[1], left),
+        further=[_right(folder, left) for folder in further],
         calibrate=lambda size: _calibration(path, calibration, matrices, size),
         read_truth=lambda loaded: _truth(_poses_file(path), left, loaded),
         faults=faults,

@@ -31,6 +31,7 @@ _log = logging.getLogger(__name__)
 
 _Image = Future[Pixels]
 _Depth = Future[Floats32]
+_Decoding = tuple[int, _Image, list[_Image | None], _Depth | None]
 _Result = TypeVar("_Result")
 _FRAMES_AHEAD = 2
 
@@ -43,12 +44,16 @@ class ListedImages(NamedTuple):
 
     Attributes:
         right: right image of each, None where it is missing; None in mono.
+        further: the same of cam2, cam3 and so on.
+        stamps_ns: of each, the times of the images by camera; None with a common trigger.
     """
 
     left: Sequence[Shot]
     right: Sequence[StoredImage | None] | None = None
     levels: GreyLevels = GreyLevels()
     depth: DepthImages | None = None
+    further: Sequence[Sequence[StoredImage | None]] = ()
+    stamps_ns: Sequence[tuple[int, ...]] | None = None
 
 
 class ImageSequence:
@@ -57,7 +62,8 @@ class ImageSequence:
     Attributes:
         rig: the cameras, cam1 only if the frames have an image1.
         skipped: unreadable frames of the latest call of `frames` so far, with reasons.
-        unpaired: number of its frames so far without image1 or depth, if the rig has either.
+        unpaired: number of its frames so far without depth or all images, if the rig has more
+            than one camera or depth.
         right_offset_ns: added to the stamps of right images before they were paired.
     """
 
@@ -87,6 +93,8 @@ class ImageSequence:
         self.right_offset_ns = 0
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
+        self._further = images.further
+        self._image_stamps_ns = images.stamps_ns
         self._levels = images.levels
         self._depth = images.depth
         self._close = close
@@ -161,9 +169,10 @@ class ImageSequence:
         with ExitStack() as stack:
             if self._close is not None:
                 stack.callback(self._close)
-            cam0, cam1 = (stack.enter_context(_reader(name)) for name in ("cam0", "cam1"))
+            names = (f"cam{number}" for number in range(max(2, len(self.rig.cameras))))
+            readers = [stack.enter_context(_reader(name)) for name in names]
             losses = stack.enter_context(_Losses())
-            for index, image0, image1, image2 in self._prefetch(cam0, cam1, numbers, kind):
+            for index, image0, others, measured in self._prefetch(readers, numbers, kind):
                 shot = self._left[index]
                 try:
                     left = image0.result()
@@ -171,33 +180,46 @@ class ImageSequence:
                     losses.add("skipped", index, error)
                     self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
                     continue
-                right = losses.result(image1, "used without its right image", index)
-                depth = losses.result(image2, "used without its depth image", index)
-                if right is None and depth is None and self.rig.is_metric:
+                images = [
+                    losses.result(image, f"used without its {name} image", index)
+                    for image, name in zip(others, self._names(), strict=True)
+                ]
+                depth = losses.result(measured, "used without its depth image", index)
+                if depth is None and self.rig.is_metric and any(each is None for each in images):
                     self.unpaired += 1
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
                 # Images of kind `recorded` may be uint16.
-                pair = cast("tuple[Bytes, Bytes | None]", (left, right))
-                yield Frame(index, shot.stamp_ns, pair, depth, path)
+                recorded = cast("tuple[Bytes | None, ...]", (left, *images))
+                stamps = None if self._image_stamps_ns is None else self._image_stamps_ns[index]
+                yield Frame(index, shot.stamp_ns, recorded, depth, path, stamps_ns=stamps)
+
+    def _names(self) -> list[str]:
+        """What cam1 and the further cameras are called."""
+        further = [f"cam{number}" for number in range(2, len(self._further) + 2)]
+        return ["cam1" if further else "right", *further]
 
     def _prefetch(
         self,
-        cam0: ThreadPoolExecutor,
-        cam1: ThreadPoolExecutor,
+        readers: Sequence[ThreadPoolExecutor],
         numbers: Iterable[int],
         kind: ImageKind,
-    ) -> Iterator[tuple[int, _Image, _Image | None, _Depth | None]]:
+    ) -> Iterator[_Decoding]:
         """Decode the next frames while this one is processed; OpenCV releases the GIL."""
-        waiting: deque[tuple[int, _Image, _Image | None, _Depth | None]] = deque()
+        waiting: deque[_Decoding] = deque()
+        cam0, cameras = self.rig.cam0, self.rig.cameras[1:] or (None,)
         for index in numbers:
-            left = cam0.submit(self._image, index, self._left[index].image, self.rig.cam0, kind)
-            partner = None if self._right is None else self._right[index]
-            right = None
-            if partner is not None and self.rig.cam1 is not None:
-                right = cam1.submit(self._image, index, partner, self.rig.cam1, kind)
+            left = readers[0].submit(self._image, index, self._left[index].image, cam0, kind)
+            partners = [None if self._right is None else self._right[index]]
+            partners += [images[index] for images in self._further]
+            others = [
+                None
+                if stored is None or camera is None
+                else reader.submit(self._image, index, stored, camera, kind)
+                for reader, stored, camera in zip(readers[1:], partners, cameras, strict=True)
+            ]
             measured = None if self._depth is None else self._depth.images[index]
-            depth = None if measured is None else cam1.submit(self._metres, measured)
-            waiting.append((index, left, right, depth))
+            depth = None if measured is None else readers[1].submit(self._metres, measured)
+            waiting.append((index, left, others, depth))
             if len(waiting) > _FRAMES_AHEAD:
                 yield waiting.popleft()
         yield from waiting

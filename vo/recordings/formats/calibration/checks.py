@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.distortion import angle_reach, centre_scale, undistort_rays
 from vo.base.geometry.transforms import inverse, make_transform, orthonormalised
-from vo.base.types import Camera, Floats, ImuNoise, Rig
+from vo.base.types import Camera, Floats, ImuNoise, MountedCamera, Rig
 from vo.recordings.formats.calibration.document import ImageSize
 from vo.recordings.formats.calibration.lenses import (
     PROJECTIONS,
@@ -41,6 +41,7 @@ _MAX_READOUT_S = 0.2
 _PLAUSIBLE_FOCAL_RATIO = (0.1, 20.0)
 """Focal length over image width: pinhole cameras with fields of view of 157 and 3 degrees."""
 _SAME_SCALE = 0.1
+_SAME_POSE = 1e-6
 _CENTRED = (0.75, 1.3)
 """Principal point relative to the centre, where both sides have about the same ratio."""
 _GRID = 15
@@ -121,6 +122,31 @@ def make_rig(where: str, cam0: Camera, cam1: Camera, cam1_from_cam0: Floats) -> 
     """A stereo rig, its baseline checked."""
     check_baseline(where, cam1_from_cam0)
     return Rig(cam0, cam1, cam1_from_cam0)
+
+
+def rig_of(where: str, cameras: Sequence[Camera], cam0_from_cams: Sequence[Floats]) -> Rig:
+    """A rig of any number of cameras, given their poses relative to camera 0."""
+    if len(cameras) == 1:
+        return Rig(cameras[0])
+    cam1_from_cam0 = inverse(cam0_from_cams[1])
+    if len(cameras) == 2:
+        return make_rig(where, cameras[0], cameras[1], cam1_from_cam0)
+    _check_apart(where, cam0_from_cams)
+    further = map(MountedCamera, cameras[2:], cam0_from_cams[2:])
+    return Rig(cameras[0], cameras[1], cam1_from_cam0, further=tuple(further))
+
+
+def _check_apart(where: str, cam0_from_cams: Sequence[Floats]) -> None:
+    """Refuse cameras that are at the same place and look the same way, and warn of far ones."""
+    for j, pose in enumerate(cam0_from_cams):
+        for i, other in enumerate(cam0_from_cams[:j]):
+            if np.abs(pose - other).max() < _SAME_POSE:
+                raise CalibrationError(
+                    f"{where}: cam{i} and cam{j} have the same pose; give each camera once, with "
+                    "its own pose"
+                )
+        if np.linalg.norm(pose[:3, 3]) > _MAX_BASELINE_M:
+            check_baseline(f"{where}: cam{j}", pose)
 
 
 def rectified_rig(where: str, cam0: Camera, cam1: Camera, baseline_m: float) -> Rig:

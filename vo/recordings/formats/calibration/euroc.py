@@ -1,4 +1,4 @@
-"""Reader of EuRoC's `sensor.yaml`, one file per camera: cam0/sensor.yaml and cam1/sensor.yaml.
+"""Reader of EuRoC's `sensor.yaml`, one file per camera: cam0/sensor.yaml, cam1/sensor.yaml, ….
 
 Kimera has files with the same keys: LeftCameraParams.yaml and RightCameraParams.yaml. `readout_s`
 is a key of `vo synth`, for a rolling shutter.
@@ -8,12 +8,20 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from itertools import count, takewhile
 from pathlib import Path
+
+import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Camera, Floats, Rig
-from vo.recordings.formats.calibration.checks import make_camera, make_readout, make_rig
+from vo.recordings.formats.calibration.checks import (
+    make_camera,
+    make_readout,
+    make_rig,
+    rig_of,
+)
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,
@@ -39,16 +47,29 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read the camera; for cam0/sensor.yaml or a left one also that of the right camera, if any."""
+    """Read the camera; for cam0/sensor.yaml or a left one also those of the others, if any."""
     cam0 = _camera(document, image_size)
     body_from_cam0 = _body_from_camera(document)
     partner = _partner(document.path)
     if partner is None:
         return Calibration(Rig(cam0), body_from_cam0)
     other = load_document(partner)
-    cam1_from_cam0 = inverse(_body_from_camera(other)) @ body_from_cam0
-    rig = make_rig(f"{partner}: T_BS", cam0, _camera(other, image_size), cam1_from_cam0)
+    others = [other, *map(load_document, _further(partner))]
+    if len(others) == 1:
+        cam1_from_cam0 = inverse(_body_from_camera(other)) @ body_from_cam0
+        rig = make_rig(f"{partner}: T_BS", cam0, _camera(other, image_size), cam1_from_cam0)
+        return Calibration(rig, body_from_cam0)
+    poses = [inverse(body_from_cam0) @ _body_from_camera(each) for each in others]
+    cameras = [cam0, *(_camera(each, image_size) for each in others)]
+    rig = rig_of(f"{partner.parent.parent}: T_BS", cameras, [np.eye(4), *poses])
     return Calibration(rig, body_from_cam0)
+
+
+def _further(partner: Path) -> list[Path]:
+    """The files of cam2, cam3 and so on, beside that of cam1."""
+    beside = (partner.parent.parent / f"cam{n}" / partner.name for n in count(2))
+    is_numbered = partner.parent.name == "cam1"
+    return list(takewhile(Path.is_file, beside)) if is_numbered else []
 
 
 def _partner(path: Path) -> Path | None:

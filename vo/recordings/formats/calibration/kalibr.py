@@ -1,9 +1,9 @@
 """Reader of Kalibr's `camchain.yaml`, and of OpenVINS' files of the same layout.
 
-Uses the first two cameras. `T_cn_cnm1` is cam1_from_cam0, `T_cam_imu` is cam_from_imu, and
-OpenVINS' `T_imu_cam` is imu_from_cam. The noise of the IMU is in a file beside, Kalibr's `imu.yaml`
-or OpenVINS' `kalibr_imu_chain.yaml`, or in a section `imu0`. It is continuous-time: rad/s/√Hz and
-m/s²/√Hz, random walks rad/s²/√Hz and m/s³/√Hz.
+Cameras are cam0, cam1 and so on. `T_cn_cnm1` is cam1_from_cam0 and cam2_from_cam1, `T_cam_imu` is
+cam_from_imu, and OpenVINS' `T_imu_cam` is imu_from_cam. The noise of the IMU is in a file beside,
+Kalibr's `imu.yaml` or OpenVINS' `kalibr_imu_chain.yaml`, or in a section `imu0`. It is
+continuous-time: rad/s/√Hz and m/s²/√Hz, random walks rad/s²/√Hz and m/s³/√Hz.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from vo.recordings.formats.calibration.checks import (
     make_camera,
     make_noise,
     make_time_offset,
+    rig_of,
 )
 from vo.recordings.formats.calibration.document import (
     Calibration,
@@ -58,7 +59,7 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read cam0 and cam1, if any."""
+    """Read cam0 and all that follow."""
     cam0 = _camera(document, "cam0", image_size)
     imu_from_cam0 = _imu_from_camera(document, "cam0")
     imu = ImuCalibration(
@@ -72,8 +73,16 @@ def read(document: Document, image_size: ImageSize | None) -> Calibration:
     if "cam1" not in document.data:
         return Calibration(Rig(cam0), imu_from_cam0, imu=imu)
     cam1 = _camera(document, "cam1", image_size)
-    cam1_from_cam0 = _cam1_from_cam0(document, imu_from_cam0)
-    return Calibration(Rig(cam0, cam1, cam1_from_cam0), imu_from_cam0, imu=imu)
+    if "cam2" not in document.data:
+        cam1_from_cam0 = _pose_after(document, 1, imu_from_cam0)
+        return Calibration(Rig(cam0, cam1, cam1_from_cam0), imu_from_cam0, imu=imu)
+    cameras, poses, before = [cam0], [np.eye(4)], imu_from_cam0
+    while (name := f"cam{len(cameras)}") in document.data:
+        moved = _pose_after(document, len(cameras), before)
+        poses.append(poses[-1] @ inverse(moved))
+        cameras.append(_camera(document, name, image_size))
+        before = _imu_from_camera(document, name)
+    return Calibration(rig_of(str(document.path), cameras, poses), imu_from_cam0, imu=imu)
 
 
 def _camera(document: Document, name: str, image_size: ImageSize | None) -> Camera:
@@ -104,37 +113,42 @@ def _imu_from_camera(document: Document, name: str) -> Floats | None:
     return None
 
 
-def _cam1_from_cam0(document: Document, imu_from_cam0: Floats | None) -> Floats:
-    where = f"{document.path}: cam1"
-    value = document.section("cam1").get("T_cn_cnm1")
-    imu_from_cam1 = _imu_from_camera(document, "cam1")
+def _pose_after(document: Document, number: int, imu_from_before: Floats | None) -> Floats:
+    """Transform from the camera before to a camera: cam1_from_cam0, cam2_from_cam1, and so on."""
+    name, is_pair = f"cam{number}", "cam2" not in document.data
+    where = f"{document.path}: {name}"
+    value = document.section(name).get("T_cn_cnm1")
+    imu_from_cam = _imu_from_camera(document, name)
     if value is not None:
-        cam1_from_cam0 = make_transform(f"{where}.T_cn_cnm1", value)
-        check_baseline(f"{where}.T_cn_cnm1", cam1_from_cam0)
-        if imu_from_cam0 is not None and imu_from_cam1 is not None:
-            by_imu = inverse(imu_from_cam1) @ imu_from_cam0
-            _check_agreement(document, cam1_from_cam0, by_imu)
-        return cam1_from_cam0
-    if imu_from_cam0 is None or imu_from_cam1 is None:
+        moved = make_transform(f"{where}.T_cn_cnm1", value)
+        if is_pair:
+            check_baseline(f"{where}.T_cn_cnm1", moved)
+        if imu_from_before is not None and imu_from_cam is not None:
+            _check_agreement(document, number, moved, inverse(imu_from_cam) @ imu_from_before)
+        return moved
+    if imu_from_before is None or imu_from_cam is None:
         raise CalibrationError(
             f"{where}.T_cn_cnm1 is missing; it is the pose of the camera, a 4x4 matrix; T_cam_imu "
-            "of both cameras does as well"
+            f"of {'both' if is_pair else 'all'} cameras does as well"
         )
-    cam1_from_cam0 = inverse(imu_from_cam1) @ imu_from_cam0
-    check_baseline(f"{where}: pose on the IMU", cam1_from_cam0)
-    return cam1_from_cam0
+    moved = inverse(imu_from_cam) @ imu_from_before
+    if is_pair:
+        check_baseline(f"{where}: pose on the IMU", moved)
+    return moved
 
 
-def _check_agreement(document: Document, cam1_from_cam0: Floats, by_imu: Floats) -> None:
-    """Warn if the poses of both cameras on the IMU contradict that of cam1 relative to cam0."""
-    off = inverse(cam1_from_cam0) @ by_imu
+def _check_agreement(document: Document, number: int, moved: Floats, by_imu: Floats) -> None:
+    """Warn if the poses of two cameras on the IMU contradict that of one relative to the other."""
+    off = inverse(moved) @ by_imu
     angle, shift = float(rotation_angle(off[:3, :3])), float(np.linalg.norm(off[:3, 3]))
-    baseline = float(np.linalg.norm(cam1_from_cam0[:3, 3]))
+    baseline = float(np.linalg.norm(moved[:3, 3]))
     if angle > _MAX_DISAGREEMENT_RAD or shift > _MAX_DISAGREEMENT * baseline:
         _log.warning(
-            "%s: the poses of cam0 and cam1 on the IMU contradict T_cn_cnm1 by %.2g degrees and "
+            "%s: the poses of cam%d and cam%d on the IMU contradict T_cn_cnm1 by %.2g degrees and "
             "%.2g m; is T_cam_imu the pose of the camera on the IMU instead of its inverse?",
             document.path,
+            number - 1,
+            number,
             np.degrees(angle),
             shift,
         )

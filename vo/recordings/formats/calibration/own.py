@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from vo.base.errors import CalibrationError, OutputError
+from vo.base.geometry.transforms import inverse
 from vo.base.noise_classes import NOISE_CLASSES
 from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration.checks import (
@@ -20,6 +23,7 @@ from vo.recordings.formats.calibration.checks import (
     make_rig,
     make_time_offset,
     rectified_rig,
+    rig_of,
 )
 from vo.recordings.formats.calibration.document import (
     Calibration,
@@ -31,6 +35,7 @@ from vo.recordings.formats.calibration.document import (
 from vo.recordings.formats.calibration.numbers import make_number, make_positive, make_transform
 
 _TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
+_FURTHER = re.compile(r"cam([2-9]|[1-9]\d)(_from_cam0)?")
 _CAMERA_KEYS = (
     "model", "resolution", "intrinsics", "distortion_model", "distortion", "readout_s",
 )  # fmt: skip
@@ -44,9 +49,12 @@ def recognises(document: Document) -> bool:
 
 
 def read(document: Document, image_size: ImageSize | None) -> Calibration:
-    """Read one or two cameras."""
-    _check_keys(str(document.path), document.data, _TOP_KEYS)
+    """Read one camera, two, or more."""
+    further = [key for key in document.data if _FURTHER.fullmatch(str(key))]
+    _check_keys(str(document.path), document.data, (*_TOP_KEYS, *further))
     cam0, imu = _camera(document, "cam0"), _imu(document)
+    if further:
+        return Calibration(_rig_of_many(document, further), imu=imu)
     if "cam1" not in document.data and "baseline_m" not in document.data:
         return Calibration(Rig(cam0), depth_per_metre=_depth_per_metre(document), imu=imu)
     # Without cam1 both cameras of a rectified pair are the same.
@@ -66,6 +74,9 @@ def write_calibration(
     if rig.cam1 is not None and rig.cam1_from_cam0 is not None:
         data["cam1"] = _section(rig.cam1)
         data["cam1_from_cam0"] = rig.cam1_from_cam0.tolist()
+    for number, each in enumerate(rig.further, start=2):
+        data[f"cam{number}"] = _section(each.camera)
+        data[f"cam{number}_from_cam0"] = inverse(each.cam0_from_cam).tolist()
     if imu is not None:
         data["imu"] = _imu_section(imu)
     # default_flow_style=None: lists of numbers on one line, sections on several.
@@ -155,6 +166,23 @@ def _rig(document: Document, cam0: Camera, cam1: Camera) -> Rig:
             f"{where} is {baseline_m:g}; it must be above 0, with cam1 right of cam0"
         )
     return rectified_rig(where, cam0, cam1, baseline_m)
+
+
+def _rig_of_many(document: Document, further: Sequence[str]) -> Rig:
+    """More than two cameras, each with its pose; their numbers leave none out."""
+    last = max(int(found[1]) for key in further if (found := _FURTHER.fullmatch(key)))
+    cameras, poses = [_camera(document, "cam0")], [np.eye(4)]
+    for number in range(1, last + 1):
+        name, key = f"cam{number}", f"cam{number}_from_cam0"
+        for needed in (name, key):
+            if needed not in document.data:
+                raise CalibrationError(
+                    f"{document.path}: {needed} is missing, but there is {further[-1]}; cameras "
+                    "are cam0, cam1, cam2 and so on, each with its transform camN_from_cam0 (4x4)"
+                )
+        cameras.append(_camera(document, name))
+        poses.append(inverse(make_transform(f"{document.path}: {key}", document.data[key])))
+    return rig_of(str(document.path), cameras, poses)
 
 
 def _depth_per_metre(document: Document) -> float | None:

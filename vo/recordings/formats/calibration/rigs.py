@@ -1,6 +1,6 @@
 """Readers of lists of cameras with their poses on a body: SVO and maplab, OKVIS, and Basalt.
 
-The first two cameras are used. SVO and maplab (aslam_cv2) have `cameras: - camera:` with `T_B_C`,
+SVO and maplab (aslam_cv2) have `cameras: - camera:` with `T_B_C`,
 which is body_from_camera, or its inverse `T_C_B`; OKVIS has `cameras:` with `T_SC`, which is
 sensor_from_camera, the sensor being the IMU; Basalt's `calibration.json` has `T_imu_cam`.
 """
@@ -22,6 +22,7 @@ from vo.recordings.formats.calibration.checks import (
     make_noise,
     make_rig,
     make_time_offset,
+    rig_of,
 )
 from vo.recordings.formats.calibration.document import (
     Calibration,
@@ -59,10 +60,10 @@ _BASALT_NOISE = ("gyro_noise_std", "gyro_bias_std", "accel_noise_std", "accel_bi
 
 
 def _rig(where: str, cameras: Sequence[Camera], body_from_cameras: Sequence[Floats]) -> Rig:
-    if len(cameras) == 1:
-        return Rig(cameras[0])
-    cam1_from_cam0 = inverse(body_from_cameras[1]) @ body_from_cameras[0]
-    return make_rig(where, cameras[0], cameras[1], cam1_from_cam0)
+    if len(cameras) == 2:
+        cam1_from_cam0 = inverse(body_from_cameras[1]) @ body_from_cameras[0]
+        return make_rig(where, cameras[0], cameras[1], cam1_from_cam0)
+    return rig_of(where, cameras, [inverse(body_from_cameras[0]) @ e for e in body_from_cameras])
 
 
 def _has_cameras_with(document: Document, key: str) -> bool:
@@ -84,7 +85,7 @@ def read_maplab(document: Document, image_size: ImageSize | None) -> Calibration
         return Calibration(Rig(camera))
     entries = [
         as_section(f"{document.path}: cameras, entry {i}", each)
-        for i, each in enumerate(document.data["cameras"][:2])
+        for i, each in enumerate(document.data["cameras"])
     ]
     cameras, poses = [], []
     for index, entry in enumerate(entries):
@@ -142,7 +143,7 @@ def recognises_okvis(document: Document) -> bool:
 def read_okvis(document: Document, image_size: ImageSize | None) -> Calibration:
     """Read the settings of OKVIS; the body is the IMU."""
     cameras, poses = [], []
-    for index, each in enumerate(document.data["cameras"][:2]):
+    for index, each in enumerate(document.data["cameras"]):
         where = f"{document.path}: camera {index}"
         entry = as_section(where, each)
         cameras.append(_okvis_camera(where, entry, image_size))
@@ -199,7 +200,7 @@ def read_basalt(document: Document, image_size: ImageSize | None) -> Calibration
     intrinsics = _items(document, section, "intrinsics")
     has_poses = section.get("T_imu_cam") is not None
     cameras, poses = [], []
-    for index in range(min(len(intrinsics), 2 if has_poses else 1)):
+    for index in range(len(intrinsics) if has_poses else 1):
         cameras.append(_basalt_camera(document, section, intrinsics, index, image_size))
         if has_poses:
             poses.append(_basalt_pose(document, section, index))
