@@ -15,7 +15,7 @@ def info_command(
     source: options.Recording,
     *,
     picture: Path | None = option(
-        "Write a contact sheet of evenly spaced images to this PNG file.",
+        "Write a contact sheet of evenly spaced images to this PNG file, and a rig from above.",
         default=None,
         metavar="FILE",
         panel=options.OUTPUT,

@@ -17,6 +17,7 @@ from vo.tools.inspection.reports import (
     ImuMotionReport,
     ImuReport,
     LensReport,
+    MountReport,
     Report,
 )
 
@@ -73,8 +74,11 @@ def _facts(report: Report) -> Iterator[tuple[str, str]]:
     if report.calibration is not None:
         for lens in report.calibration.lenses:
             yield "", _lens(lens)
-        if report.calibration.baseline_m is not None:
+        mounts = report.calibration.mounts
+        if report.calibration.baseline_m is not None and (not mounts or report.pair is not None):
             yield "", _baseline(report.calibration)
+        for number, mount in enumerate(mounts):
+            yield "" if number else "rig", _mount(mount)
     yield from _measured(report)
     if report.has_depth:
         yield "depth", "aligned with cam0"
@@ -186,6 +190,14 @@ def _baseline(calibration: CalibrationReport) -> str:
         parts.append(f"cam1 is turned by {turned_deg:.0f}° against cam0")
     parts.append("rectified" if calibration.is_rectified else "not rectified")
     return ", ".join(parts)
+
+
+def _mount(mount: MountReport) -> str:
+    seen = ", ".join(f"{name} sees {100 * r:.0f} %" for name, r in mount.overlaps.items())
+    return (
+        f"{mount.name}: {mount.from_cam0_m:.3g} m from cam0, turned by {mount.turned_deg:.0f}°; "
+        f"of its image {seen or 'the others see nothing'}"
+    )
 
 
 def _measured(report: Report) -> Iterator[tuple[str, str]]:

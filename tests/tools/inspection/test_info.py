@@ -15,10 +15,12 @@ import yaml
 from mcap.writer import Writer
 from typer.testing import CliRunner
 
+from data_synth.cameras import camera_file
 from vo.base.types import Bytes
 from vo.cli.app import app
 from vo.recordings.formats.foxglove import FOXGLOVE
 from vo.recordings.formats.messages import ImageMessage
+from vo.tools.inspection.images import write_contact_sheet
 from vo.tools.inspection.inspection import inspect
 from vo.tools.inspection.opening import open_leniently
 from vo.tools.inspection.reports import Finding, Report
@@ -308,3 +310,25 @@ def test_one_camera_twice_is_told(walk: Path) -> None:
 def test_a_mirrored_right_image_is_told(walk: Path) -> None:
     modify_images(walk, lambda i: np.asarray(cv2.flip(i, 1), np.uint8), slice(None), "cam1")
     assert finding(report_of(walk), "the right image is mirrored left to right").level == "error"
+
+
+def test_a_rig_is_described_and_drawn(tmp_path: Path) -> None:
+    for number in range(6):
+        (tmp_path / f"cam{number}").mkdir()
+        for i in range(3):
+            grey = np.random.default_rng(i).integers(0, 255, (300, 400), dtype=np.uint8)
+            cv2.imwrite(str(tmp_path / f"cam{number}" / f"{10**18 + i * 10**8}.png"), grey)
+    shutil.copy(camera_file("car"), tmp_path / "calibration.yaml")
+    opened = open_leniently(tmp_path)
+    report = inspect(opened)
+    assert [camera.name for camera in report.cameras] == [f"cam{n}" for n in range(6)]
+    assert report.calibration is not None and len(report.calibration.mounts) == 6
+    mount = report.calibration.mounts[2]
+    assert mount.turned_deg == pytest.approx(75.0, abs=0.1)
+    assert set(mount.overlaps) == {"cam0", "cam1", "cam4"}
+    write_contact_sheet(tmp_path / "sheet.png", opened)
+    sheet = cv2.imread(str(tmp_path / "sheet.png"), cv2.IMREAD_GRAYSCALE)
+    assert sheet is not None
+    rig = sheet[-640:, :640]
+    # Up is ahead, where two cameras see; the middle of the car is seen by none.
+    assert rig[40, 320] < rig[320, 40] < 255 and rig[350, 320] == 255

@@ -17,6 +17,7 @@ from vo.recordings.sources.images import StoredImage, is_colour
 from vo.tools.drawing import write_picture
 from vo.tools.inspection.image_records import ImageStatistics
 from vo.tools.inspection.opening import ImageSequence, OpenedRecording
+from vo.tools.inspection.rig_picture import draw_rig
 
 _DARK, _BRIGHT = 10, 250
 _FAST_THRESHOLD = 12
@@ -132,6 +133,10 @@ def write_contact_sheet(path: Path, opened: OpenedRecording) -> None:
         opened.close()
     if not rows:
         raise SourceError(f"{opened.path} contains no readable image")
+    if opened.rig is not None and opened.rig.further:
+        drawn = draw_rig(opened.rig)
+        beside = np.full((drawn.shape[0], rows[0].shape[1] - drawn.shape[1]), 255, np.uint8)
+        rows.append(np.hstack([drawn, beside]))
     write_picture(path, np.vstack(rows), ".png")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.cameras import normalise
 from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.rig_overlap import overlap_ratios, overlaps
 from vo.base.geometry.transforms import inverse, rotation_angle
 from vo.base.types import Camera, Floats, Ints, Rig, Trajectory
 from vo.recordings.formats.warning_kinds import collected_warnings
@@ -25,6 +26,7 @@ from vo.tools.inspection.reports import (
     CalibrationReport,
     ImuReport,
     LensReport,
+    MountReport,
     Place,
     Report,
     TopicReport,
@@ -52,11 +54,11 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
     """
     try:
         cameras = tuple(_camera(camera, images) for camera in opened.cameras)
-        is_pair = opened.roles_known and len(cameras) == 2
-        sides = opened.cameras if is_pair else ()
+        sides = opened.cameras[:2] if _is_pair(opened) else ()
         with collected_warnings():  # repeated from opening, or reported as findings
             pair = pair_report(sides[0], sides[1]) if sides else None
-            stereo = _stereo(sides[0], sides[1], opened.rig) if sides else None
+            rig = opened.rig if opened.rig is None else opened.rig.first(2)
+            stereo = _stereo(sides[0], sides[1], rig) if sides else None
         lefts = opened.cameras[0].shots if opened.cameras else ()
         stamps = np.array([shot.stamp_ns for shot in lefts], dtype=np.int64)
         imus, imu_warnings = check_imus(opened.imus, stamps, everything=images is None)
@@ -87,6 +89,16 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
         command="",
     )
     return with_findings(report, opened, imu_warnings)
+
+
+def _is_pair(opened: OpenedRecording) -> bool:
+    """Whether the first two cameras are a pair; those of a rig if they can be rectified."""
+    if not opened.roles_known or len(opened.cameras) < 2:
+        return False
+    rig = opened.rig
+    return len(opened.cameras) == 2 or (
+        rig is not None and rectified_cameras(rig.first(2)) is not None
+    )
 
 
 def _with_motion(
@@ -145,9 +157,9 @@ def _calibration(rig: Rig, source: str) -> CalibrationReport:
     lenses = [_lens("cam0", rig.cam0)]
     if rig.cam1 is None or rig.cam1_from_cam0 is None:
         return CalibrationReport(tuple(lenses), None, None, source=source)
-    lenses.append(_lens("cam1", rig.cam1))
+    lenses += [_lens(f"cam{n}", each) for n, each in enumerate(rig.cameras[1:], start=1)]
     try:
-        is_rectified = rectified_rig(rig).maps[0] is None
+        is_rectified = rectified_rig(rig.first(2)).maps[0] is None
     except CalibrationError:
         is_rectified = False
     cam1_in_cam0 = inverse(rig.cam1_from_cam0)[:3, 3]
@@ -159,7 +171,24 @@ def _calibration(rig: Rig, source: str) -> CalibrationReport:
         _place(cam1_in_cam0),
         turned_deg,
         source,
+        _mounts(rig) if rig.further else (),
     )
+
+
+def _mounts(rig: Rig) -> tuple[MountReport, ...]:
+    ratios, pairs = overlap_ratios(rig).max(axis=2), overlaps(rig)
+    found = []
+    for number, pose in enumerate(rig.cam0_from_cams):
+        others = [sum(p[:2]) - number for p in pairs if number in p[:2]]
+        found.append(
+            MountReport(
+                f"cam{number}",
+                float(np.linalg.norm(pose[:3, 3])),
+                float(np.degrees(np.arccos(np.clip(pose[2, 2], -1.0, 1.0)))),
+                {f"cam{other}": float(ratios[number, other]) for other in others},
+            )
+        )
+    return tuple(found)
 
 
 def _place(cam1_in_cam0: Floats) -> Place:

@@ -31,7 +31,7 @@ from vo.recordings.sources.sequence import ImageSequence as SourceSequence
 class ImageSequence:
     """Images of a camera by increasing stamp."""
 
-    name: str  # `cam0`, `cam1` or a topic
+    name: str  # `cam0`, `cam1`, … or a topic
     shots: Sequence[Shot]
     repeated_stamps: int = 0  # number of images left out because of a repeated stamp
 
@@ -42,8 +42,8 @@ class OpenedRecording:
 
     path: Path
     format: str
-    cameras: tuple[ImageSequence, ...] = ()  # left and right camera, or all candidates
-    roles_known: bool = True  # whether these are left and right
+    cameras: tuple[ImageSequence, ...] = ()  # those of the rig, or all candidates
+    roles_known: bool = True  # whether these are those of the rig
     topics: tuple[Topic, ...] = ()
     unread: tuple[UnreadTopic, ...] = ()
     imus: tuple[Imu, ...] = ()
@@ -147,8 +147,11 @@ def _open_files(
             refusal=str(error),
             has_unknown_camera=isinstance(error, NoCalibration),
         )
+    used = zip(listed.further, source.rig.further, strict=False)
+    cameras += [ImageSequence(f"cam{n}", s) for n, (s, _) in enumerate(used, start=2) if s]
     return replace(
         found,
+        cameras=tuple(cameras),
         source=source,
         rig=source.rig,
         calibration=_origin(loaded),

@@ -27,7 +27,7 @@ class TopicReport:
 class LensReport:
     """Calibration of a camera, in figures that can be compared with its data sheet."""
 
-    name: str  # `cam0` or `cam1`
+    name: str  # `cam0`, `cam1`, …
     width: int  # image width in pixels
     height: int  # image height in pixels
     fx: float  # focal length in pixels, along u
@@ -42,6 +42,17 @@ class LensReport:
 
 
 @dataclass(frozen=True)
+class MountReport:
+    """How a camera of a rig is mounted, and what others see of its image."""
+
+    name: str
+    from_cam0_m: float
+    turned_deg: float  # angle of its optical axis to that of cam0
+    # Ratio of its image that others see too, at 1 to 30 m, by their names; at least 3 % of both
+    overlaps: dict[str, float]
+
+
+@dataclass(frozen=True)
 class CalibrationReport:
     """Calibration of all cameras."""
 
@@ -53,6 +64,7 @@ class CalibrationReport:
     cam1_is: Place | None = None
     cam1_turned_deg: float | None = None  # rotation between the cameras; None with one camera
     source: str = ""  # its file and format; empty if it is part of a log
+    mounts: tuple[MountReport, ...] = ()  # the cameras of a rig of more than two
 
 
 @dataclass(frozen=True)
@@ -135,7 +147,7 @@ class Report:
     format: str
     topics: tuple[TopicReport, ...]  # topics of a log, those that are read first
     imu: tuple[ImuReport, ...]
-    cameras: tuple[CameraReport, ...]  # left and right camera, or all candidates
+    cameras: tuple[CameraReport, ...]  # those of the rig, or all candidates
     pair: PairReport | None  # pairing of left and right images; None without a pair
     calibration: CalibrationReport | None  # the calibration, if there is one
     stereo: StereoReport | None  # comparison of left and right images; None without checked pairs
