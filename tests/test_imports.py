@@ -79,7 +79,8 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.runs": (
         {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"},
         {"run_options", "run_scale", "run_summary"},
-        {"camera_estimation", "run_session"},
+        {"camera_estimation", "second_pass"},
+        {"run_session"},
         {"run_recording"},
         {"batch"},
     ),

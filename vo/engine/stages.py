@@ -68,6 +68,7 @@ class Components(NamedTuple):
         inertial_sensor: gives a single camera its scale, and the direction of gravity; by default
             none. Its extrinsics must be known.
         inertial_noise: of that sensor, by default what it gives itself.
+        k1_error: of both lenses of a pair, known from an earlier pass.
     """
 
     extractor: FeatureExtractor | None = None
@@ -77,6 +78,7 @@ class Components(NamedTuple):
     factor_sources: Sequence[FactorSource] = ()
     inertial_sensor: InertialSensor | None = None
     inertial_noise: ImuNoise | None = None
+    k1_error: float = 0.0
 
 
 BUILT_IN = Components()
@@ -114,6 +116,8 @@ def make_stages(
     if config.camera.readout_s is not None:
         rig = replace(rig, cam0=replace(rig.cam0, readout_s=config.camera.readout_s))
     rectified = rectified_rig(rig)
+    if components.k1_error != 0.0:
+        rectified = rectified.with_k1_error(components.k1_error)
     masks = StaticMasks(rectified, recorded_masks(config.masks, rig))
     threads = config.threads or available_cores()
     frontend, second = _frontend(config, components)

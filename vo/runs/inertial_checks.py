@@ -29,18 +29,6 @@ class Unusable(NamedTuple):
     is_error: bool = True
 
 
-class InertialContradiction(Exception):
-    """A sensor contradicts the images: the run has to be made again without it.
-
-    Attributes:
-        use: the sensor, with the reason.
-    """
-
-    def __init__(self, use: InertialUse) -> None:
-        super().__init__(use.reason)
-        self.use = use
-
-
 def contradiction_faults(use: InertialUse | None, *, is_handled: bool) -> list[Fault]:
     """The fault of a sensor that contradicts the images, if it does.
 

@@ -45,10 +45,11 @@ from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
-from vo.runs.inertial_checks import InertialContradiction, Unusable, why_unusable
+from vo.runs.inertial_checks import Unusable, why_unusable
 from vo.runs.run_options import RunOptions
 from vo.runs.run_session import OpenedRun, RunSession
 from vo.runs.scaling.scale_sources import make_scale_sources
+from vo.runs.second_pass import InertialContradiction, LensesFound, TrackAgain
 
 _log = logging.getLogger(__name__)
 
@@ -98,18 +99,32 @@ def run(
         locked_folder(Path(output)),
         one_opencv_thread(),
     ):
-        try:
-            return _run(opened, output, components, poses)
-        except InertialContradiction as found:
-            # All files are made anew: they are those of a run without the sensor.
-            _log.info("%s: %s; all frames are tracked again", found.use.sensor, found)
+        while True:
+            try:
+                return _run(opened, output, components, poses)
+            except TrackAgain as found:  # all files are made anew
+                _log.info("%s; all frames are tracked again", found)
+                reason = found.with_traceback(None)
             options = replace(options, optimizer_process=None)
-            unused = replace(found.use, states=None, first_frame=None, metric_worlds=())
-            again = _opened(source, stream, config, options)
-            opened = replace(
-                again, unused_imu=unused, warnings=opened.warnings, estimated_camera=camera
+            opened, components = _again(
+                reason, opened, _opened(source, stream, config, options), components
             )
-            return _run(opened, output, components._replace(inertial_sensor=None), poses)
+
+
+def _again(
+    reason: TrackAgain, before: OpenedRun, opened: OpenedRun, components: Components
+) -> tuple[OpenedRun, Components]:
+    """The recording opened anew, and the components, for another pass."""
+    unused, k1 = before.unused_imu, before.k1_error
+    if isinstance(reason, InertialContradiction):
+        unused = replace(reason.use, states=None, first_frame=None, metric_worlds=())
+        components = components._replace(inertial_sensor=None)
+    if isinstance(reason, LensesFound):
+        k1 = reason.k1
+        components = components._replace(k1_error=k1)
+    camera = before.estimated_camera
+    opened = replace(opened, unused_imu=unused, k1_error=k1, estimated_camera=camera)
+    return replace(opened, warnings=before.warnings), components
 
 
 def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStreams) -> Summary:

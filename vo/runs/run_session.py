@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
+from vo.base.faults import Fault
 from vo.base.option_names import with_flags
 from vo.base.printable import one_line
 from vo.base.records.estimated_camera import EstimatedCamera
@@ -27,7 +28,7 @@ from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.recordings.formats.warning_kinds import LoggedWarning
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
-from vo.runs.inertial_checks import InertialContradiction, contradiction_faults
+from vo.runs.inertial_checks import contradiction_faults
 from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.runs.pose_log import PoseLog
 from vo.runs.progress import NullProgress, Progress
@@ -35,6 +36,7 @@ from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
 from vo.runs.run_summary import summarise_odometry
 from vo.runs.scaling.scale_sources import ScaleSources
+from vo.runs.second_pass import TrackAgain, check_lenses, check_sensor
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
@@ -61,6 +63,7 @@ class OpenedRun:
     options: RunOptions
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
+    k1_error: float = 0.0  # of both lenses, by an earlier pass
     warnings: tuple[LoggedWarning, ...] = ()  # of opening
     estimated_camera: EstimatedCamera | None = None  # without a calibration
 
@@ -137,7 +140,7 @@ class RunSession:
             SourceError: no frame could be read.
             OutputError: a file cannot be written.
             KeyboardInterrupt: a stop signal came before the last frame.
-            InertialContradiction: a run without the inertial sensor is to replace the results.
+            TrackAgain: a run without what was found to be wrong is to replace the results.
         """
         with deferred_interrupts() as interrupts, closing(self._folder):
             try:
@@ -145,9 +148,6 @@ class RunSession:
                 self._track(frames, interrupts)
                 interrupts.close()
                 return self._end()
-            except InertialContradiction:
-                self._save(self._finish_recording)
-                raise
             except BaseException as error:
                 interrupts.close()
                 self._end_early(error)
@@ -168,6 +168,8 @@ class RunSession:
                 is_metric = self._odometry.trajectory.metric.is_metric(estimate.segment)
                 self._poses.send(estimate, is_metric=is_metric)
             self._output(estimate, clock)
+            if self._opened.k1_error == 0.0 and estimate.keyframes:
+                check_lenses(self._odometry, self._stream, self._options)
             self._folder.frames.append(frame_line(estimate, clock.stage_ms))
             self._statistics.add_times(clock.stage_ms)
             clock.stage_ms.clear()
@@ -197,7 +199,8 @@ class RunSession:
         """Finish the files and the recording after the last frame, and summarise."""
         self._end_progress()
         self._statistics.add_times(self._odometry.finish())
-        self._add_contradiction(is_over=False)
+        check_sensor(self._odometry.map_alignment.inertial, self._stream, self._options)
+        self._statistics.faults.add(self._contradiction())
         clock = Stopwatch()
         with clock.stage("write"):
             self._apply_scale()
@@ -210,24 +213,21 @@ class RunSession:
         self._statistics.add_times(clock.stage_ms)
         return self._summarise("finished")
 
-    def _add_contradiction(self, *, is_over: bool) -> None:
-        """Begin again without a sensor that contradicts the images, or report it."""
-        use = self._odometry.map_alignment.inertial
-        can_repeat = isinstance(self._stream, Recording) and not self._options.follow
-        if use is not None and use.is_contradiction and can_repeat and not is_over:
-            raise InertialContradiction(use)
-        self._statistics.faults.add(contradiction_faults(use, is_handled=False))
+    def _contradiction(self) -> list[Fault]:
+        return contradiction_faults(self._odometry.map_alignment.inertial, is_handled=False)
 
     def _end_early(self, error: BaseException) -> None:
         """Save the results so far before an error is raised again."""
+        self._end_progress()
+        if isinstance(error, TrackAgain):
+            return self._save(self._finish_recording)
         status: Status = "interrupted" if isinstance(error, KeyboardInterrupt) else "failed"
         reason = None if status == "interrupted" else _one_line(error)
         # A full disk is one error, however many files it concerns.
         self._is_warned = isinstance(error, OutputError)
-        self._end_progress()
         if status == "interrupted":
             self._save(self._odometry.finish)  # fails if a frame was broken off
-            self._add_contradiction(is_over=True)
+            self._statistics.faults.add(self._contradiction())
         self._save(self._apply_scale)
         self._save(self._finish_files)
         self._save(lambda: self._summarise(status, reason))

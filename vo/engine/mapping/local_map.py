@@ -62,7 +62,7 @@ class LocalMap:
         sigma_disparity_px: float = 0.4,
         newest: int | None = None,
     ) -> None:
-        self.rig = rig
+        self.rig, self._k1 = rig, rig.k1_error
         self.keyframes: list[Keyframe] = []
         self.images: Bytes = np.zeros((capacity, rig.height, rig.width), dtype=np.uint8)
         self._capacity = capacity
@@ -239,7 +239,7 @@ class LocalMap:
         """Remove all keyframes and landmarks, and all corrections of the calibration."""
         self.clear()
         rig = _without_disparity_error(self.rig)
-        self.rig = rig if rig.k1_error == 0.0 else rig.with_k1_error(0.0)
+        self.rig = rig if rig.k1_error == self._k1 else rig.with_k1_error(self._k1)
 
     def correct_disparities(self, offset_px: float, curve_px: float, *, is_yaw: bool) -> None:
         """Replace the correction of the disparity bias, for measured disparities too."""

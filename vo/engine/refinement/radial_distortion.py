@@ -21,6 +21,7 @@ _MAX_DIFFERENCE = 0.5  # of a part that confirms an error, ratio of the error
 _MIN_DIFFERENCE_SIGMA = 1.5  # of a part that contradicts it
 _MIN_WINDOWS = 3
 _OVERLAP = 10  # number of consecutive windows that share keyframes
+_KNOWN = 0.3  # standard deviation of an error that an earlier pass has found, relative
 _MAX_EDGE_PX = 15.0  # larger errors at the edges are not explained by one coefficient
 # Of a lens that is quite another one: what windows share, and standard deviations.
 _LENS_SYSTEMATIC_PX, _LENS_SIGNIFICANT = 1.0, 3.5
@@ -85,13 +86,15 @@ class RadialDistortionEstimator:
     """
 
     def __init__(self, rig: RectifiedRig) -> None:
-        self.applied = 0.0
+        self.applied = rig.k1_error
         self._rig = rig
         self._per_k1 = residual_per_k1(rig)
         self._k1_of_px = 1.0 / edge_shift_px(rig, 1.0)
         self._systematic = _SYSTEMATIC_PX * self._k1_of_px
         self._whole, self._parts = _Mean(), [_Mean()]
         self._check = _LensCheck(rig)
+        if rig.k1_error != 0.0:
+            self._whole.add(rig.k1_error, _KNOWN * abs(rig.k1_error), _OVERLAP)
 
     @property
     def faults(self) -> tuple[Fault, ...]:
