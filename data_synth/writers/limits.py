@@ -6,7 +6,7 @@ import numpy as np
 
 from vo.base.errors import ConfigError
 from vo.base.extras import require
-from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.rectification import rectified_projections
 from vo.base.types import Rig
 
 _SAME = 1e-9
@@ -57,7 +57,7 @@ def check_mcap(rig: Rig, has_drops: bool) -> None:
     Raises:
         CalibrationError: it cannot.
     """
-    rectified_rig(rig)
+    rectified_projections(rig)
 
 
 def check_ros2(rig: Rig, has_drops: bool) -> None:

@@ -84,6 +84,9 @@ def _static_transforms(recording: Recording, stamp_ns: int) -> _Stream:
     if recording.rig.cam1_from_cam0 is not None:
         cam0_from_cam1 = inverse(recording.rig.cam1_from_cam0)
         transforms.append(FrameTransform("cam0", "cam1", cam0_from_cam1))
+    for number in range(2, len(recording.rig.cameras)):
+        pose = recording.body_from_cams[number]
+        transforms.append(FrameTransform("body", f"cam{number}", pose))
     imu = recording.imu
     if imu is not None and imu.recorded_pose is not None:
         transforms.append(FrameTransform("body", _frame_of(imu), imu.recorded_pose))
@@ -162,7 +165,7 @@ def _images(recording: Recording, shots: Iterator[EncodedShot], codec: str) -> l
     """A stream for each camera: its calibration, its image, and the depth of cam0."""
     needs = np.sum([~dropped for dropped in recording.dropped], axis=0)
     buffer = _ShotBuffer(shots, needs)
-    cameras = [camera for camera in (recording.rig.cam0, recording.rig.cam1) if camera is not None]
+    cameras = recording.rig.cameras
     rectified = rectified_projections(recording.rig)
     return [
         _camera(recording, number, camera, rectified[number], buffer, codec)

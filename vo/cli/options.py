@@ -93,8 +93,8 @@ class Reading:
         default=ModeChoice.AUTO,
     )
     topic: list[str] | None = option(
-        "Image topic of a log: left=/cam0/image and right=/cam1/image, or a single name; "
-        "repeatable.",
+        "Image topic of a log: left=/cam0/image and right=/cam1/image, or the names of all "
+        "cameras in their order; repeatable.",
         default=None,
         metavar="TOPIC",
         show_default="detected from the names",

@@ -17,6 +17,7 @@ from vo.base.geometry import cameras
 from vo.base.geometry.pair_rectification import central_focal, check_baseline, is_wide, rectify_pair
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.rectification_maps import Maps, displaced_maps, wide_maps
+from vo.base.geometry.rig_overlap import overlaps
 from vo.base.geometry.transforms import make_transform
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.types import Bytes, Camera, Floats, Floats32, Rig
@@ -226,13 +227,14 @@ def _is_rectified(rig: Rig) -> bool:
 def rectified_projections(rig: Rig) -> list[tuple[Floats, Floats]]:
     """For each camera, rectified_from_cam (3, 3) and projection (3, 4) of the rectified camera.
 
-    These are R and P of calibration messages of ROS and Foxglove.
+    These are R and P of calibration messages of ROS and Foxglove. Cameras of a larger rig, or of a
+    pair that sees nothing in common, are not rectified.
 
     Raises:
         CalibrationError: the pair cannot be rectified.
     """
-    if rig.cam1_from_cam0 is None:
-        return [(np.eye(3), np.column_stack([rig.cam0.matrix, np.zeros(3)]))]
+    if rig.cam1_from_cam0 is None or rig.further or not overlaps(rig):
+        return [(np.eye(3), np.column_stack([c.matrix, np.zeros(3)])) for c in rig.cameras]
     rectified = rectified_rig(rig)
     left_rotation = rectified.cam0_from_rectified[:3, :3].T
     left = np.column_stack([rectified.matrix, np.zeros(3)])

@@ -52,6 +52,7 @@ def open_uncalibrated(
         replace(
             contents,
             right=right,
+            further=(),
             calibrate=lambda size: Calibration(_placeholder(size, right)),
             read_truth=lambda _: None,
             depth=None,

@@ -225,8 +225,9 @@ def _without_missing_topics(opened: OpenedRecording) -> list[str]:
     known = {topic.name.strip("/") for topic in opened.topics}
     options = list(opened.options)
     for number in reversed(range(len(options) - 1)):
-        name = options[number + 1].rpartition("=")[2].strip("/")
-        if options[number] == "--topic" and name not in known:
+        if options[number] != "--topic":
+            continue
+        if options[number + 1].rpartition("=")[2].strip("/") not in known:
             del options[number : number + 2]
     return options
 

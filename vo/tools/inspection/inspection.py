@@ -43,6 +43,7 @@ from vo.tools.inspection.stereo import (
 
 DEFAULT_IMAGES = 24
 _STEREO_PAIRS = 6
+_MIN_IN_COMMON = 0.5  # ratio of the images of a pair
 
 
 def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Report:
@@ -92,13 +93,12 @@ def inspect(opened: OpenedRecording, images: int | None = DEFAULT_IMAGES) -> Rep
 
 
 def _is_pair(opened: OpenedRecording) -> bool:
-    """Whether the first two cameras are a pair; those of a rig if they can be rectified."""
-    if not opened.roles_known or len(opened.cameras) < 2:
-        return False
-    rig = opened.rig
-    return len(opened.cameras) == 2 or (
-        rig is not None and rectified_cameras(rig.first(2)) is not None
-    )
+    """Whether the first two cameras are a pair; in a larger rig, if they see much in common."""
+    if not opened.roles_known or len(opened.cameras) < 2 or opened.rig is None:
+        return opened.roles_known and len(opened.cameras) == 2
+    first = next(iter(overlaps(opened.rig.first(2))), None)
+    is_seen = first is not None and first.ratio >= _MIN_IN_COMMON
+    return is_seen or not opened.rig.further
 
 
 def _with_motion(

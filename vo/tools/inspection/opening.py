@@ -195,24 +195,23 @@ def _open_log(
         pose_names=tuple(each.name for each in list_pose_sources(log)),
     )
     try:
-        choice = choose_topics(log.topics, requested_topics, mode)
+        may_be_rig = calibration is None
+        choice = choose_topics(log.topics, requested_topics, mode, may_be_rig=may_be_rig)
     except SourceError as error:
-        images = [topic for topic in log.topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
-        cameras = _cameras(log, {topic.name: topic for topic in images})
-        return replace(
-            found,
-            cameras=cameras,
-            roles_known=False,
-            truth=None if images else _poses_alone(log),
-            refusal=str(error),
-        )
+        return _undecided(found, log, error)
     chosen = {"cam0": choice.left}
     if choice.right is not None and mode != "mono":
         chosen["cam1"] = choice.right
-    found = replace(found, cameras=_cameras(log, chosen))
+    if mode == "auto":
+        chosen |= {f"cam{n}": topic for n, topic in enumerate(choice.further, start=2)}
+    asked, found = found, replace(found, cameras=_cameras(log, chosen))
     try:
         source = open_log(log, name, calibration, mode, requested_topics, right_offset_ns)
+        if choice.further:
+            found = replace(found, cameras=found.cameras[: len(source.rig.cameras)])
     except VoError as error:
+        if choice.doubt:
+            return _undecided(asked, log, error)
         is_unknown = isinstance(error, NoCalibration)
         return replace(found, refusal=str(error), has_unknown_camera=is_unknown)
     return replace(
@@ -222,6 +221,18 @@ def _open_log(
         calibration="" if calibration is None else str(calibration),
         truth=source.ground_truth,
         imus=source.imus,
+    )
+
+
+def _undecided(found: OpenedRecording, log: Log, error: VoError) -> OpenedRecording:
+    """A log of which no one knows the cameras: all its images."""
+    images = [topic for topic in log.topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
+    return replace(
+        found,
+        cameras=_cameras(log, {topic.name: topic for topic in images}),
+        roles_known=False,
+        truth=None if images else _poses_alone(log),
+        refusal=str(error),
     )
 
 

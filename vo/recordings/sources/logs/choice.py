@@ -1,11 +1,11 @@
-"""Choice of the topics of the left and the right camera."""
+"""Choice of the topics of the cameras."""
 
 from __future__ import annotations
 
 import difflib
 import logging
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from vo.base.errors import SourceError
@@ -31,21 +31,35 @@ _MAX_COUNT_DIFFERENCE = 0.1  # relative
 
 @dataclass(frozen=True)
 class ChosenTopics:
-    """Topics of the cameras, and names of ground-truth and IMU topics if the user gave them."""
+    """Topics of the cameras, and names of ground-truth and IMU topics if the user gave them.
+
+    Attributes:
+        further: of cameras beside the pair, used if their calibrations and poses are known.
+        doubt: why the cameras are no choice unless their poses are known; empty if they are.
+    """
 
     left: Topic
     right: Topic | None
     truth: str | None = None
     imu: str | None = None
+    further: tuple[Topic, ...] = ()
+    doubt: str = ""
+
+    @property
+    def cameras(self) -> tuple[Topic, ...]:
+        """The topics by camera."""
+        return (self.left, *(() if self.right is None else (self.right,)), *self.further)
 
 
-def choose_topics(topics: Sequence[Topic], options: Sequence[str], mode: Mode) -> ChosenTopics:
+def choose_topics(
+    topics: Sequence[Topic], options: Sequence[str], mode: Mode, *, may_be_rig: bool = False
+) -> ChosenTopics:
     """The topics given by the user, or else those detected by their names.
 
-    `options`: values of `--topic`: `left=/a`, `right=/b`, `truth=/c`, `imu=/d`, or one name for the
-    left camera.
+    `options`: values of `--topic`: `left=/a`, `right=/b`, `truth=/c`, `imu=/d`, or names of the
+    cameras in their order. `may_be_rig`: whether more than two may be detected in `auto`.
     """
-    named = _parse(options)
+    named, given = _parse(options)
     images = [topic for topic in topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
     if not images:
         raise SourceError(_no_images_message(topics))
@@ -55,9 +69,19 @@ def choose_topics(topics: Sequence[Topic], options: Sequence[str], mode: Mode) -
             _by_name(topics, name)
     if "left" in named:
         right = _by_name(images, named["right"]) if "right" in named else None
-        return ChosenTopics(_by_name(images, named["left"]), right, truth, imu)
-    left, right = _detect_pair(_one_topic_per_camera(images), mode)
-    return ChosenTopics(left, right, truth, imu)
+        further = tuple(_by_name(images, name) for name in given)
+        return ChosenTopics(_by_name(images, named["left"]), right, truth, imu, further)
+    cameras = _one_topic_per_camera(images)
+    may_be_rig &= mode == "auto" and len(cameras) > 2
+    try:
+        left, right = _detect_pair(cameras, mode)
+    except SourceError as error:
+        if not may_be_rig:
+            raise
+        first, second, *others = sorted(cameras, key=_is_aside)
+        return ChosenTopics(first, second, truth, imu, tuple(others), str(error))
+    further = tuple(_numbered_on(cameras, left, right)) if may_be_rig else ()
+    return ChosenTopics(left, right, truth, imu, further)
 
 
 def base_name(topic: str) -> str:
@@ -65,20 +89,52 @@ def base_name(topic: str) -> str:
     return _TRANSPORT.sub("", topic)
 
 
-def _parse(options: Sequence[str]) -> dict[str, str]:
+def _is_aside(camera: Topic) -> bool:
+    """Whether a camera is not the one that looks ahead, by its name."""
+    name = camera.name.lower()
+    return "front" not in name or _SIDES.search(name.replace("_", " ")) is not None
+
+
+def _numbered_on(cameras: Sequence[Topic], left: Topic, right: Topic | None) -> Iterator[Topic]:
+    """The cameras after a pair whose names count on: 2 and 3 after 0 and 1."""
+    pair = [re.split(r"(\d+)", topic.name) for topic in (left, right) if topic is not None]
+    if len(pair) < 2 or len(pair[0]) != len(pair[1]):
+        return
+    by_name, place = {topic.name: topic for topic in cameras}, 0
+    counted = [i for i, (a, b) in enumerate(zip(*pair, strict=True)) if a != b]
+    if not all(pair[1][i].isdigit() for i in counted):
+        return
+    while True:
+        place += 1
+        parts = [str(int(p) + place) if i in counted else p for i, p in enumerate(pair[1])]
+        if "".join(parts) not in by_name:
+            return
+        yield by_name["".join(parts)]
+
+
+def _parse(options: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Topics by their keys, and those of cam2, cam3 and so on."""
     named: dict[str, str] = {}
+    plain = [option for option in options if "=" not in option]
+    if len(plain) > 1 and not any(o.startswith(("left=", "right=")) for o in options):
+        first, second, *further = plain
+        for name in plain:
+            if plain.count(name) > 1:
+                raise SourceError(f"`topics` gives {name} twice; give each camera once")
+        rest = [option for option in options if "=" in option]
+        return _parse([f"left={first}", f"right={second}", *rest])[0], further
     for option in options:
         key, equals, name = option.partition("=") if "=" in option else ("left", "=", option)
         if key not in _KEYS or not name:
             raise SourceError(
-                f"`topics={option}` is invalid; give a topic, or left=TOPIC and right=TOPIC"
+                f"`topics={option}` is invalid; give topics, or left=TOPIC and right=TOPIC"
             )
         if key in named:
             raise SourceError(f"`topics` gives two topics for {key}: {named[key]} and {name}")
         named[key] = name
     if "right" in named and "left" not in named:
         raise SourceError("`topics=right=…` requires `topics=left=…`")
-    return named
+    return named, []
 
 
 def _by_name(topics: Sequence[Topic], name: str) -> Topic:

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from vo.base.errors import CalibrationError, NoCalibration, VoError
+from vo.base.errors import CalibrationError, NoCalibration, SourceError, VoError
 from vo.base.faults import Fault
 from vo.base.types import Floats, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize, read_calibration
+from vo.recordings.formats.calibration.checks import rig_of
 from vo.recordings.formats.messages import (
     CalibrationMessage,
     CompressedImageMessage,
@@ -32,7 +33,7 @@ from vo.recordings.sources.logs.realsense_bag import (
     stream_of,
     stream_transforms,
 )
-from vo.recordings.sources.logs.rig import LogCamera, cam1_from_cam0, find_camera
+from vo.recordings.sources.logs.rig import LogCamera, cam0_from_cam, cam1_from_cam0, find_camera
 from vo.recordings.sources.sequence import ImageSequence
 
 _log = logging.getLogger(__name__)
@@ -45,21 +46,29 @@ def open_log(
     mode: Mode,
     topics: Sequence[str] = (),
     right_offset_ns: int | None = None,
+    *,
+    is_rig: bool = True,
 ) -> ImageSequence:
     """Create a source from a log.
 
-    `calibration`: file that overrides the calibration in the log.
+    `calibration`: file that overrides the calibration in the log. `is_rig`: whether it may have
+    more than two cameras.
     """
-    choice = choose_topics(log.topics, topics, mode)
+    may_be_rig = is_rig and calibration is None
+    choice = choose_topics(log.topics, topics, mode, may_be_rig=may_be_rig)
     opened = ChosenLog(log, choice)
+    own = None
+    if may_be_rig and mode == "auto" and choice.further:
+        choice, own = opened.rig_of_log()
     faults: list[Fault] = []
-    names = [topic.name for topic in (choice.left, choice.right) if topic is not None]
-    _log.info("%s: images of %s", log.path, " and ".join(names))
+    _log.info("%s: images of %s", log.path, " and ".join(t.name for t in choice.cameras))
     left = list_images(log, choice.left, opened.entries[choice.left.name], faults)
-    own = opened.calibration_of_log(mode) if calibration is None else None
+    if own is None and calibration is None:
+        own = opened.calibration_of_log(mode)
     right = None
     if choice.right is not None and mode != "mono" and (own is None or own.rig.is_stereo):
         right = list_images(log, choice.right, opened.entries[choice.right.name])
+    many = choice.further if own is None or own.rig.further else ()
 
     def calibrate(size: ImageSize) -> Calibration:
         if own is not None:
@@ -79,6 +88,7 @@ def open_log(
         find_imus=opened.imus,
         right_offset_ns=right_offset_ns,
         faults=faults,
+        further=[list_images(log, topic, opened.entries[topic.name]) for topic in many],
     )
     return assemble(contents, mode)
 
@@ -97,7 +107,7 @@ class ChosenLog:
         self._depth = [topic for topic in raw if "depth" in topic.name.lower()]
         if choice.right is not None:
             self._depth = []
-        topics = [choice.left, choice.right, self._truth]
+        topics = [*choice.cameras, self._truth]
         topics += [*self._calibrations, *transforms, *self._depth, *extrinsics_topics(log.topics)]
         names = dict.fromkeys(topic.name for topic in topics if topic is not None)
         self.entries: dict[str, list[Entry]] = log.entries(list(names))
@@ -123,6 +133,33 @@ class ChosenLog:
             _log.warning("only the left camera is used: %s", error)
             return Calibration(Rig(left.camera), depth_per_metre=DEPTH_UNITS_PER_METRE)
         return Calibration(Rig(left.camera, right.camera, transform))
+
+    def rig_of_log(self) -> tuple[ChosenTopics, Calibration | None]:
+        """The cameras whose poses are known, and their calibration; None for two or fewer.
+
+        Raises:
+            SourceError: there are no more than two, and names do not say which are a pair.
+        """
+        choice, reasons = self._choice, []
+        found: list[tuple[Topic, LogCamera, Floats]] = []
+        for topic in choice.cameras:
+            try:
+                camera = self._camera(topic)
+                first = found[0][1] if found else camera
+                found.append((topic, camera, cam0_from_cam(first, camera, self._frames)))
+            except CalibrationError as error:
+                reasons.append(f"{topic.name} is not used: {error}")
+        if len(found) < 3 or found[0][0] is not choice.left:
+            if choice.doubt:
+                raise SourceError(choice.doubt)
+            return choice, None
+        for reason in reasons:
+            _log.warning("%s", reason)
+        topics, cameras, poses = zip(*found, strict=True)
+        where = f"{self._log.path}: poses of {', '.join(topic.name for topic in topics)}"
+        rig = rig_of(where, [each.camera for each in cameras], poses)
+        used = replace(choice, right=topics[1], further=topics[2:], doubt="")
+        return used, Calibration(rig)
 
     def depth(self) -> list[Shot] | None:
         """Depth registered to the left camera; None without such depth or with a right camera."""

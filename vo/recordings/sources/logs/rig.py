@@ -140,6 +140,27 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
     return found
 
 
+def cam0_from_cam(first: LogCamera, camera: LogCamera, frames: FrameTree) -> Floats:
+    """Pose (4, 4) of the images of a camera of a rig relative to those of the first."""
+    if camera is first:
+        return np.eye(4)
+    known = None
+    if first.frame and camera.frame and first.frame != camera.frame:
+        known = frames.between(first.frame, camera.frame)
+    if known is None:
+        raise CalibrationError(
+            f"no transforms connect its frame '{camera.frame}' to '{first.frame}'; {_ADVICE}"
+        )
+    # Frames are those of the physical cameras; rectified cameras are rotated.
+    turns = [
+        make_transform(each.calibration.rectified_from_cam, np.zeros(3))
+        if each.is_rectified
+        else np.eye(4)
+        for each in (first, camera)
+    ]
+    return np.asarray(turns[0] @ known @ inverse(turns[1]))
+
+
 def _from_projections(left: LogCamera, right: LogCamera) -> Floats | None:
     """cam1_from_cam0 from the last columns of the rectified projections P = K [I | t]."""
     shift = _offset(right) - _offset(left)

@@ -180,7 +180,7 @@ def open_growing(
     """
     growing = GrowingFile(path)
     file = growing.wait_for_cameras()
-    source = open_log(file, "mcap", calibration, mode, topics, right_offset_ns)
+    source = open_log(file, "mcap", calibration, mode, topics, right_offset_ns, is_rig=False)
     choice = choose_topics(file.topics, topics, mode)
     right = choice.right if source.rig.is_stereo else None
     arriving = ArrivingFrames(growing, file, choice.left, right, source.right_offset_ns)
