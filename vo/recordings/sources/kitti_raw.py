@@ -17,6 +17,7 @@ from vo.recordings.formats.calibration import Calibration, ImageSize, kitti
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
 from vo.recordings.sources.imu import FileImu, ImuSamples, imu_of
+from vo.recordings.sources.kitti_360 import gather_kitti_360, is_kitti_360
 from vo.recordings.sources.listing import Shot, list_images, make_shots
 from vo.recordings.sources.oxts import (
     interpolate_at,
@@ -35,6 +36,8 @@ _CALIBRATION = "calib_cam_to_cam.txt"
 def gather_kitti_raw(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
     """List a drive, rectified (`sync`) or as recorded (`extract`); prefer the grey cameras."""
     path = path.resolve()
+    if is_kitti_360(path):
+        return gather_kitti_360(path, calibration, mode)
     left, right = next((pair for pair in _PAIRS if (path / pair[0]).is_dir()), _PAIRS[0])
     cameras = (left[-2:], right[-2:])
     shots = _shots(path / left)

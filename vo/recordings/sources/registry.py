@@ -51,6 +51,7 @@ class Format(NamedTuple):
     can_grow: bool = False
 
 
+_SCENES = "sample_data.json"
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".mpg", ".mpeg")
 
 FORMATS: dict[str, Format] = {
@@ -85,6 +86,7 @@ FORMATS: dict[str, Format] = {
         ("transforms.json", "transforms_train.json"),
         (".json",),
     ),
+    "nuscenes": Format("vo.recordings.sources.nuscenes:gather_nuscenes", (_SCENES,)),
     "glob": Format("vo.recordings.sources.folder:gather_glob"),
     "video": Format("vo.recordings.sources.clip:gather_clip", suffixes=VIDEO_SUFFIXES),
     "folder": Format(
@@ -163,7 +165,7 @@ def open_container(path: Path, name: str) -> Log:
 def choose_format(path: Path, format: str | None) -> str:
     """The format chosen by the user, or else the one detected from the path."""
     _refuse_live(path)
-    if not path.exists() and not _is_pattern(path):
+    if not path.exists() and not _is_pattern(path) and not _is_scene(path):
         raise SourceError(f"{path} does not exist; give the folder or file of a recording")
     if path.exists() and not path.is_file() and not path.is_dir():  # opening it may never end
         raise SourceError(f"{path} is neither a file nor a folder; a pipe is read with `-`")
@@ -179,6 +181,8 @@ def detect_format(path: Path) -> str:
     """The name of the first format that matches a path."""
     if not path.exists() and _is_pattern(path):
         return "glob"
+    if not path.exists() and _is_scene(path):
+        return "nuscenes"
     _refuse_lfs_pointer(path)
     names = [entry.name.lower() for entry in path.iterdir()] if path.is_dir() else []
     for name, entry in FORMATS.items():
@@ -234,6 +238,11 @@ def _refuse_foreign(path: Path, *, by_name: bool = True) -> None:
 
 def _is_pattern(path: Path) -> bool:
     return glob.has_magic(str(path))
+
+
+def _is_scene(path: Path) -> bool:
+    """Whether a path names a scene in a folder of nuScenes' tables."""
+    return not path.exists() and (path.parent / _SCENES).is_file()
 
 
 def _load(name: str) -> Callable[..., Any]:

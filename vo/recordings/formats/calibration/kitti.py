@@ -86,6 +86,12 @@ def read_raw(
     return _on_body(f"{document.path}: camera {right}", found)
 
 
+def rectification(document: Document) -> Floats:
+    """(4, 4) from the unrectified camera 00 to the rectified one."""
+    rotation = make_rotation(f"{document.path}: R_rect_00", _Lines(document).numbers("R_rect_00"))
+    return make_transform(rotation, np.zeros(3))
+
+
 def _on_body(where: str, cameras: list[_PosedCamera]) -> Calibration:
     cam0, cam0_from_body = cameras[0]
     body_from_cam0 = inverse(cam0_from_body)
