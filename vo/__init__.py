@@ -6,7 +6,7 @@
         odometry.track(stamp_ns, left, right)   the pose of each frame of a program
     vo.open("recording/")                       frames, stamps, calibration, ground truth
     vo.read_trajectory, vo.read_calibration     files, in the usual formats
-    vo.match, vo.find_markers, vo.ObjectDatabase, vo.features      single images
+    vo.match, vo.match_folder, vo.find_markers, vo.ObjectDatabase, vo.features      images
     vo.maps                                     saved maps
     vo.info, vo.convert, vo.synth, vo.report, vo.video, vo.dense, vo.batch: commands
     vo.calibrate, vo.calibrate_imu, vo.calibrate_imu_noise, vo.print_board
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from vo.api.commands import batch, convert, info, report, synth
     from vo.api.functions import evaluate, run
     from vo.api.markers import find_markers
-    from vo.api.matching import match, panorama
+    from vo.api.matching import match, match_folder, panorama
     from vo.api.objects import ObjectDatabase
     from vo.api.odometry import Odometry
     from vo.api.video import video
@@ -140,6 +140,7 @@ _DEFINED_IN = {
     "load_config": "vo.base.config:load_config",
     "maps": "vo.api.maps",
     "match": "vo.api.matching:match",
+    "match_folder": "vo.api.matching:match_folder",
     "open": "vo.recordings.sources.registry:open_source",
     "panorama": "vo.api.matching:panorama",
     "print_board": "vo.api.calibration:print_board",
@@ -214,6 +215,7 @@ __all__ = [
     "load_config",
     "maps",
     "match",
+    "match_folder",
     "open",
     "panorama",
     "print_board",

@@ -31,9 +31,11 @@ RENAMED = {"topic": "topics", "right_offset": "right_offset_ns", "set": "overrid
     "delta": "delta_frames",
     "tolerance": "tolerance_s",
     "interpolate": "interpolated",
+    "threshold": "threshold_px",
 }
 # What only makes sense in a terminal: printing, exit status, windows, lists of choices.
 OF_TERMINALS = {"help", "help_all", "json", "quiet", "verbose", "fail_under", "list", "profile"} | {
+    "keypoints",
     "spawn",
     "serve",
 }
@@ -47,6 +49,7 @@ COMMANDS: dict[str, tuple[Callable[..., Any], ...]] = {
     "video": (vo.video,),
     "batch": (vo.batch,),
     "calibrate": (vo.calibrate, vo.calibrate_imu),
+    "match": (vo.match, vo.match_folder),
 }
 # These choose another function.
 FUNCTIONS = {"dense": "dense", "imu_noise": "calibrate_imu_noise", "print_board": "print_board"}

@@ -72,7 +72,9 @@ def test_options_and_settings() -> None:
         (A, {"calibration": 3}, vo.ConfigError, "calibration is of type int"),
         (A, {"calibration": RIG, "right": True}, vo.CalibrationError, "no cam1"),
         (A[:99], {"calibration": RIG}, vo.CalibrationError, "320x99 pixels"),
-        (A, {"mask": 1}, vo.ConfigError, "no option 'mask'"),
+        (A, {"msak": 1}, vo.ConfigError, "no option 'msak'"),
+        (A, {"best": 3}, vo.ConfigError, "`best` needs `picture=FILE`"),
+        (A, {"warp": "w.png", "model": "f"}, vo.ConfigError, "`warp` needs a homography"),
         (A, {"detector": 7}, vo.ConfigError, "features.detector"),
         (A, {"threshold_px": "1"}, vo.ConfigError, "threshold"),
         (A, {"method": ["magsac"]}, vo.ConfigError, "method"),
@@ -84,6 +86,89 @@ def test_wrong_arguments(
     with pytest.raises(error, match=message) as caught:
         vo.match(a, B, **options)
     assert "\n" not in str(caught.value)
+
+
+def test_pictures_are_those_of_the_command(tmp_path: Path) -> None:
+    seen = vo.match(A, B, picture=tmp_path / "p.png", best=20, epipolar=True, ignore="0,0,160,240")
+    assert seen.keypoints[0].xy[:, 0].min() > 159
+    picture = cv2.imread(str(tmp_path / "p.png"))
+    assert picture is not None and picture.shape[1] >= 2 * A.shape[1]
+    warped = vo.match(A, B, warp=tmp_path / "w.png")
+    assert warped.fit is not None and warped.fit.kind.value == "homography"
+    assert cv2.imread(str(tmp_path / "w.png")) is not None
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "photos").mkdir()
+    for name, image in (("a.png", A), ("b.png", B), ("c.png", A[:, ::-1])):
+        cv2.imwrite(str(tmp_path / "photos" / name), image)
+    return tmp_path / "photos"
+
+
+def test_pairs_of_a_folder_are_those_of_two_images(folder: Path, tmp_path: Path) -> None:
+    every = vo.match_folder(folder, output=[tmp_path / "m.npz", tmp_path / "m.db"])
+    assert [(each.image_a, each.image_b) for each in every] == [
+        ("a.png", "b.png"),
+        ("a.png", "c.png"),
+        ("b.png", "c.png"),
+    ]
+    alone = vo.match(A, B)
+    assert (every[0].matches, every[0].inliers) == (len(alone.inlier), alone.inlier.sum())
+    assert len(np.load(tmp_path / "m.npz")["matches/a.png/b.png"]) == every[0].matches
+    (tmp_path / "pairs.txt").write_text("a.png b.png\n")
+    for pairs in ([("a.png", "b.png")], tmp_path / "pairs.txt", str(tmp_path / "pairs.txt")):
+        assert vo.match_folder(folder, pairs=pairs) == every[:1]  # type: ignore[arg-type]
+    few = vo.match_folder(folder, window=1, calibration=CAMERA, model="e", detector="sift")
+    assert len(few) == 2 and few[0].model == "essential"
+    assert len(vo.match_folder(str(folder), roi="0,0,160,240", pairs=[("a.png", "c.png")])) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"pairs": [("a.png",)]}, vo.ConfigError, "give names of two images"),
+        ({"pairs": []}, vo.ConfigError, "`pairs` is empty"),
+        ({"pairs": "none.txt"}, vo.SourceError, "list of pairs none.txt"),
+        ({"window": 0}, vo.ConfigError, "`window` is 0"),
+        ({"output": "m.txt"}, vo.OutputError, "must end in"),
+        ({"right": True}, vo.ConfigError, "no option 'right'"),
+    ],
+)
+def test_folders_refuse_what_cannot_be_meant(
+    options: dict[str, Any], error: type[Exception], message: str, folder: Path
+) -> None:
+    with pytest.raises(error, match=message):
+        vo.match_folder(folder, **options)
+
+
+def test_methods_are_compared_by_truth_and_by_planes(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    rows = vo.features.compare(
+        synthetic_stereo, ["orb", "klt"], gaps=[1, 3], pairs=2, picture=tmp_path / "c.png"
+    )
+    assert [(row.method, row.gap, row.pairs) for row in rows] == [
+        ("orb", 1, 2),
+        ("orb", 3, 2),
+        ("klt", 1, 2),
+        ("klt", 3, 2),
+    ]
+    assert rows[0].precision > 0.8 and (tmp_path / "c.png").stat().st_size > 0
+    for name in ("1.png", "2.png"):
+        cv2.imwrite(str(tmp_path / name), A)
+    (tmp_path / "H_1_2").write_text("1 0 0 0 1 0 0 0 1")
+    planes = vo.features.compare_planes(tmp_path, "orb")
+    assert [row.within_1_px for row in planes] == [1.0]
+    images = {"second": tmp_path / "2.png", "homography": tmp_path / "H_1_2"}
+    again = vo.features.compare_planes(tmp_path / "1.png", ["orb"], **images)
+    assert again[0].matches == planes[0].matches
+    with pytest.raises(vo.SourceError, match="no images of a plane"):
+        vo.features.compare_planes(tmp_path / "none", "orb")
+    with pytest.raises(vo.ConfigError, match="`gaps` is"):
+        vo.features.compare(synthetic_stereo, "orb", gaps=[0])
+    with pytest.raises(vo.ConfigError, match="`methods` is empty"):
+        vo.features.compare(synthetic_stereo, [])
 
 
 def test_features_by_name() -> None:

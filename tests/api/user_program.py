@@ -25,6 +25,8 @@ def commands(folder: Path) -> None:
         ignore=["0,0,9,9"],
         markers=0.16,
         gps="gps.nmea",
+        wheel="wheel.csv",
+        save_calibration=folder / "estimated.yaml",
         georeference=True,
         lever_arm=(0.0, 0.1, 0.2),
         imu=False,
@@ -52,6 +54,38 @@ def commands(folder: Path) -> None:
     vo.batch(small, folder / "b", memory="4")  # type: ignore[call-arg]
     vo.print_board(folder / "b.pdf", look_at=3)  # type: ignore[call-arg]
     vo.convert(small, folder / "b", too="kitti")  # type: ignore[call-arg]
+
+
+def pictures(folder: Path, image: np.ndarray[tuple[int, int], np.dtype[np.uint8]]) -> None:
+    pair = vo.match(image, "b.png", picture=folder / "p.png", best=20, ignore="0,0,9,9", ratio=0.8)
+    if pair.fit is not None and pair.pose is not None:
+        print(pair.fit.matrix[2, 2], pair.pose.second_from_first, pair.inlier.sum())
+    counts = vo.match_folder(folder, window=5, pairs=[("a.png", "b.png")], output=folder / "m.db")
+    print([(each.image_a, each.inliers, each.model) for each in counts])
+    rows = vo.features.compare("walk/", ["orb", "klt"], gaps=(1, 5), picture="methods.png")
+    planes = vo.features.compare_planes("v_boat/", "sift")
+    print(rows[0].precision, planes[0].within_3_px, vo.features.create("sift").detect(image).xy)
+    for marker in vo.find_markers(image, 0.16, calibration="camera.yaml", dictionary="tag36h11"):
+        if marker.pose is not None:
+            print(marker.id, marker.pose.distance_m, marker.pose.is_ambiguous)
+    print(vo.panorama([image, "b.png"], flat=True).shape)
+    cloud: vo.Densified = vo.dense(folder / "out", options=vo.DenseOptions())
+    print(cloud, vo.render(folder / "out", "model.obj", folder / "ar"))
+    objects = vo.ObjectDatabase.load(folder / "objects.npz")
+    objects.learn("bust", folder / "out", radius=0.4)
+    print([(each.name, each.inliers) for each in objects.find(image)])
+    vo.match(image, image, colour="hsv")  # type: ignore[arg-type]
+    vo.match_folder(folder, right=True)  # type: ignore[call-arg]
+
+
+def saved(folder: Path) -> None:
+    left: vo.Trajectory = vo.read_trajectory(folder / "path.tum")
+    vo.write_trajectory(folder / "copy.tum", left)
+    merged = vo.maps.merge(folder / "a.map", folder / "b.map", folder / "both.map")
+    print(merged, vo.maps.load(folder / "both.map"), vo.maps.info(folder / "both.map")["keyframes"])
+    recording: vo.Recording = vo.open(folder / "walk", mode="stereo")
+    for frame in recording.frames(0, 5):
+        print(frame.stamp_ns, frame.image0.shape)
 
 
 def frames(images: list[np.ndarray[tuple[int, int], np.dtype[np.uint8]]]) -> vo.Trajectory:

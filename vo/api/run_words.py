@@ -22,12 +22,17 @@ from vo.runs.run_options import checked_options
 from vo.runs.scaling.scale_sources import ScaleOptions
 
 
-class SettingWords(TypedDict, total=False):
-    """Options of `vo.run` and of `vo.Odometry`; `mask`, `ignore`, `roi`: one text or a list."""
+class MaskWords(TypedDict, total=False):
+    """Parts of images to use, also of `vo.match`: one text or a list."""
 
     mask: str | Path | Sequence[str] | Sequence[Path]
     ignore: str | Sequence[str]
     roi: str | Sequence[str]
+
+
+class SettingWords(MaskWords, total=False):
+    """Options of `vo.run` and of `vo.Odometry`."""
+
     threads: int
     loops: bool
     vocabulary: str | Path | None
@@ -128,7 +133,7 @@ def split_words(words: Mapping[str, Any]) -> tuple[list[str], dict[str, Any]]:
         ConfigError: a word is unknown or of another type, or is given twice.
     """
     given = checked_options(words, get_type_hints(RunWords))
-    overrides = _settings(given)
+    overrides = take_settings(given)
     if words.get("map") is not None and "loops" not in words:
         overrides.append("memory.loops=true")
     exports = {name: given.pop(name) for name in _IN_EXPORTS if name in given}
@@ -148,13 +153,13 @@ def split_odometry_words(words: Mapping[str, Any]) -> tuple[list[str], dict[str,
     """
     given = checked_options(words, get_type_hints(OdometryWords))
     imu = given.pop("imu", None)
-    overrides = _settings(given)
+    overrides = take_settings(given)
     if "loops" not in words and not {words.get("map"), words.get("save_map")} <= {None}:
         overrides.append("memory.loops=true")
     return overrides, {"imu": imu, "save_map": given.pop("save_map", None)}
 
 
-def _settings(given: dict[str, Any]) -> list[str]:
+def take_settings(given: dict[str, Any]) -> list[str]:
     """Overrides of those words that are settings, which are removed; lists of single texts."""
     for name in _LISTS:
         if isinstance(given.get(name), str | Path):

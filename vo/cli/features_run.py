@@ -11,14 +11,11 @@ from rich.console import Console
 from vo.base.config import Config, load_config
 from vo.base.errors import ConfigError
 from vo.base.feature_settings import OWN_NETWORK
-from vo.base.scheduling import one_opencv_thread
 from vo.cli.features_table import FeaturesResult
 from vo.cli.opening import open_one_camera
 from vo.cli.progress import counting
 from vo.engine.features.detectors import DETECTORS
 from vo.engine.features.opencv import describe_missing
-from vo.recordings.sources.registry import open_source
-from vo.recordings.sources.source import Recording
 from vo.tools.drawing import check_plot
 from vo.tools.laboratory.comparison import compare, plan_pairs
 from vo.tools.laboratory.examination import examine
@@ -26,9 +23,9 @@ from vo.tools.laboratory.images import (
     GreyImage,
     PlanePair,
     is_image,
+    open_left_images,
     plane_pairs,
     read_frame,
-    read_homography,
     read_image,
 )
 from vo.tools.laboratory.methods import KLT, Method, expand, make_method, missing_detectors
@@ -38,7 +35,7 @@ from vo.tools.laboratory.pictures import (
     save_features,
     save_planes,
 )
-from vo.tools.laboratory.repeatability import PlaneScore, mean_score, score_plane
+from vo.tools.laboratory.repeatability import score_planes
 
 if TYPE_CHECKING:
     from vo.cli.features import Request
@@ -155,54 +152,30 @@ def _image(request: Request) -> tuple[GreyImage, int | None]:
     return GreyImage(frame.image0, frame.mask), number
 
 
-def _open(request: Request) -> Recording:
-    """The recording, without the right images of a pair, which are not used."""
-    source = open_source(
-        request.target,
-        format=request.reading.format,
-        calibration=request.reading.calibration,
-        topics=request.reading.topics,
-    )
-    if not source.rig.is_stereo:
-        return source
-    return open_source(
-        request.target,
-        format=request.reading.format,
-        calibration=request.reading.calibration,
-        topics=request.reading.topics,
-        mode="mono",
-    )
-
-
 def _compare_planes(
     request: Request, pairs: Sequence[PlanePair], methods: Sequence[Method], console: Console
 ) -> FeaturesResult:
     if request.picture is not None:
         check_plot(request.picture)
-    scores: dict[str, list[PlaneScore]] = {}
-    with (
-        counting(console, request.target.name, len(pairs) * len(methods)) as step,
-        one_opencv_thread(),
-    ):
-        for number, pair in enumerate(pairs):
-            homography = read_homography(pair.homography)
-            first, second = read_image(pair.first).pixels, read_image(pair.second).pixels
-            if first.shape != second.shape and _ALL in (request.compare or ""):
-                methods = [method for method in methods if not method.needs_one_size]
-                _log.warning("left out: optical flow, as the images differ in size")
-            for method in methods:
-                step(method.name)
-                if number == 0:
-                    method.match(first, first)  # what is loaded at first use
-                score = score_plane(method, first, second, homography)
-                scores.setdefault(method.name, []).append(score)
-    means = tuple(mean_score(scores[method.name]) for method in methods)
+    if _ALL in (request.compare or ""):
+        methods = _of_these_sizes(methods, pairs)
+    with counting(console, request.target.name, len(pairs) * len(methods)) as step:
+        means = tuple(score_planes(methods, pairs, step))
     if request.picture is not None:
         save_planes(request.picture, means, request.target.name)
-    height, width = first.shape
+    height, width = read_image(pairs[-1].first).pixels.shape
     return FeaturesResult(
         str(request.target), (width, height), None, planes=means, picture=request.picture
     )
+
+
+def _of_these_sizes(methods: Sequence[Method], pairs: Sequence[PlanePair]) -> Sequence[Method]:
+    """All methods; without those that need images of one size, if they differ."""
+    sizes = ((read_image(each.first).pixels, read_image(each.second).pixels) for each in pairs)
+    if all(first.shape == second.shape for first, second in sizes):
+        return methods
+    _log.warning("left out: optical flow, as the images differ in size")
+    return [method for method in methods if not method.needs_one_size]
 
 
 def _compare_frames(
@@ -210,14 +183,14 @@ def _compare_frames(
 ) -> FeaturesResult:
     if request.picture is not None:
         check_plot(request.picture)
-    recording = _open(request)
+    reading = request.reading
+    recording = open_left_images(
+        request.target,
+        format=reading.format,
+        calibration=reading.calibration,
+        topics=reading.topics,
+    )
     pairs = plan_pairs(recording, _gaps(request.gaps), request.pairs)
-    for gap in pairs.without_pairs:
-        _log.warning(
-            "gap %d is left out: of %d frames, no two with ground truth are so far apart",
-            gap,
-            len(recording),
-        )
     with counting(console, recording.name, len(pairs) * len(methods)) as step:
         rows = compare(methods, pairs, recording.rig.cam0, step)
     if request.picture is not None:

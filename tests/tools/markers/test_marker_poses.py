@@ -174,3 +174,21 @@ def test_a_small_likeness_with_uneven_cells_is_no_marker(side: int, is_found: bo
     image = cv2.GaussianBlur(image, (0, 0), 0.5)
     found = MarkerDetector("4X4_50").detect(np.asarray(image, np.uint8))
     assert [marker.id for marker in found] == ([5] if is_found else [])
+
+
+def _on_white(cells: np.ndarray, cell_px: int, blur_px: float) -> np.ndarray:
+    square = np.kron(20.0 + 200.0 * cells, np.ones((cell_px, cell_px)))
+    image = np.pad(square, 30, constant_values=220.0)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), blur_px), np.uint8)
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 2.0])
+def test_squares_of_other_cells_that_read_as_codes_are_no_markers(blur_px: float) -> None:
+    """One in twenty of 7 x 7 cells does in 4X4_1000; blur makes cells of markers uneven too."""
+    detector = MarkerDetector("4X4_1000")
+    for seed in range(100):
+        other = np.pad(np.random.default_rng(seed).integers(0, 2, (7, 7)), 1)
+        assert detector.detect(_on_white(other, 6, 0.5)) == []
+    for number in range(0, 1000, 40):
+        cells = np.asarray(dictionary("4X4_1000").generateImageMarker(number, 6)) / 255
+        assert [each.id for each in detector.detect(_on_white(cells, 9, blur_px))] == [number]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -19,6 +20,7 @@ from vo.recordings.sources.source import Recording
 from vo.tools.laboratory.methods import Method
 from vo.tools.laboratory.repeatability import CORRECT_PX, by_depth, repeatability, transferred
 
+_log = logging.getLogger(__name__)
 MAX_ERROR_DEG = 2.0
 _THRESHOLD_PX = 1.0  # of inliers of the essential matrix
 _MIN_BASELINE_M = 0.02  # without translation its direction is undefined
@@ -242,7 +244,6 @@ class PlannedPairs:
     recording: Recording  # where they are
     world_from_cam: Floats  # (N, 4, 4) true pose of each frame, NaN where it is not known
     frames: tuple[tuple[int, int], ...]  # gap and number of the first frame of each pair
-    without_pairs: tuple[int, ...]  # gaps of which there are none
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -285,9 +286,13 @@ def plan_pairs(recording: Recording, gaps: Sequence[int], wanted: int) -> Planne
             f"({np.count_nonzero(known)} of {len(recording)} frames have a true pose); give "
             "smaller `gaps`"
         )
-    return PlannedPairs(
-        recording, poses, frames, tuple(g for g, firsts in chosen if not len(firsts))
-    )
+    for gap in (gap for gap, firsts in chosen if not len(firsts)):
+        _log.warning(
+            "gap %d is left out: of %d frames, no two with ground truth are so far apart",
+            gap,
+            len(recording),
+        )
+    return PlannedPairs(recording, poses, frames)
 
 
 def _poses_of_frames(recording: Recording, truth: Trajectory) -> tuple[Floats, Bools]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,6 +12,7 @@ from vo.base.errors import ConfigError, SourceError
 from vo.base.files.bounded_files import read_text
 from vo.base.types import Bytes, Floats, Frame
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
+from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.single_image import read_single_image
 from vo.recordings.sources.source import Recording
 
@@ -36,6 +38,24 @@ def read_image(path: Path) -> GreyImage:
         SourceError: it is missing, damaged or not an image.
     """
     return GreyImage(read_single_image(path).image)
+
+
+def open_left_images(
+    path: str | Path,
+    *,
+    format: str | None = None,
+    calibration: str | Path | None = None,
+    topics: Sequence[str] = (),
+) -> Recording:
+    """A recording, without the right images of a pair.
+
+    Raises:
+        VoError: it cannot be opened.
+    """
+    source = open_source(path, format=format, calibration=calibration, topics=topics)
+    if not source.rig.is_stereo:
+        return source
+    return open_source(path, format=format, calibration=calibration, topics=topics, mode="mono")
 
 
 def read_frame(recording: Recording, number: int) -> Frame:

@@ -9,7 +9,9 @@ import numpy as np
 
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
+from vo.base.scheduling import one_opencv_thread
 from vo.base.types import Bools, Bytes, Floats, Floats32, Ints
+from vo.tools.laboratory.images import PlanePair, read_homography, read_image
 from vo.tools.laboratory.methods import Method, PairMatches
 from vo.tools.pairs.two_view_fit import fit_homography
 from vo.tools.pairs.two_view_records import Fit
@@ -83,6 +85,31 @@ def score_plane(method: Method, first: Bytes, second: Bytes, homography: Floats)
         found.match_ms,
         *_accuracy(found, homography, first.shape),
     )
+
+
+def score_planes(
+    methods: Sequence[Method],
+    pairs: Sequence[PlanePair],
+    progress: Callable[[str], None] = lambda _: None,
+) -> list[PlaneScore]:
+    """Score methods on pairs of images of a plane, in one thread; means of all pairs.
+
+    `progress`: called with the name of a method before each pair.
+
+    Raises:
+        SourceError: an image or a homography cannot be read.
+    """
+    scores: dict[str, list[PlaneScore]] = {method.name: [] for method in methods}
+    with one_opencv_thread():
+        for number, pair in enumerate(pairs):
+            homography = read_homography(pair.homography)
+            first, second = (read_image(path).pixels for path in (pair.first, pair.second))
+            for method in methods:
+                progress(method.name)
+                if number == 0:
+                    method.match(first, first)  # what is loaded at first use
+                scores[method.name].append(score_plane(method, first, second, homography))
+    return [mean_score(of_one) for of_one in scores.values()]
 
 
 def mean_score(scores: Sequence[PlaneScore]) -> PlaneScore:

@@ -33,11 +33,13 @@ _MIN_CORRELATION = 0.75  # of the marker's pattern with what its cells show; of 
 _MIN_SMALL_CORRELATION = 0.95  # textures have many likenesses, and fewer of dictionaries with
 _MIN_STRONG_CORRELATION = 0.88  # so many cells:
 _STRONG_CELLS = 6
+_ROUGH, _MAX_ROUGH = 0.15, 0.2  # deviation in a cell, of the contrast; ratio of cells above it
+_BLURS_PX = (0.5, 2.0, 4.0, 6.0)  # of the pattern, whose cells have
+_CELL_PX = 8
 _ENLARGED, _MAX_ENLARGED_PIXELS = 2, 3e7
 _LARGEST_PX = 30.0  # side of a marker that is also searched in the enlarged image
 _STANDARD_DISTANCE_RATE = 0.05  # of the outline of a standard tag's square, to the next one
 _MAX_WRONG, _MAX_WRONG_BEFORE = 3, 10  # of 41 bits of which others have 12; before refinement
-_CELL_PX = 8  # of a marker seen from the front, for that comparison
 _PLAIN_FRAME = ("ARUCO_ORIGINAL", 1023)  # a bright rectangle in a dark frame: no evidence
 _MIN_LEAD = 2  # markers by which a dictionary is ahead of the next one
 MIN_SIDE_PX = 20.0  # below this a pose is hardly worth its name
@@ -157,7 +159,7 @@ class MarkerDetector:
         least = _MIN_SMALL_CORRELATION if is_small else _MIN_CORRELATION
         if is_small and scale > 1 and self.cells - 2 >= _STRONG_CELLS:
             least = _MIN_STRONG_CORRELATION
-        if self._correlation(image, number, lines.corners) < least:
+        if self._likeness(image, number, lines.corners, is_small=is_small) < least:
             return None
         if self._refinement is Refinement.LINES:
             return refined
@@ -170,17 +172,31 @@ class MarkerDetector:
     def _standard(self, image: Bytes, corners: Floats, most_wrong: int) -> tuple[int, int] | None:
         return standard_number(255.0 - self._cell_levels(image, corners), most_wrong)
 
-    def _correlation(self, image: Bytes, number: int, corners: Floats) -> float:
-        """Correlation of the means of all cells with the marker's pattern."""
-        means = self._cell_levels(image, corners).ravel()
-        expected = marker_cells(self.name, number).astype(np.float64).ravel()
+    def _likeness(self, image: Bytes, number: int, corners: Floats, *, is_small: bool) -> float:
+        """Correlation of the means of all cells with the marker's pattern.
+
+        0 where cells of no small marker vary more than blur explains: the picture has other cells.
+        """
+        view = self._view(image, corners)
+        means = _insides(view).mean(axis=2).ravel()
+        pattern = marker_cells(self.name, number)
+        expected = pattern.astype(np.float64).ravel()
         if means.std() < 1e-6 or expected.std() < 1e-6:
+            return 0.0
+        with_margin = np.pad(pattern, 1, constant_values=255)
+        if not is_small and _has_other_cells(
+            view, ~with_margin if self._is_standard else with_margin
+        ):
             return 0.0
         correlation = float(np.corrcoef(means, expected)[0, 1])
         return -correlation if self._is_standard else correlation
 
     def _cell_levels(self, image: Bytes, corners: Floats) -> Floats:
         """Mean grey levels (N, N) of the cells of a marker with these corners."""
+        return np.asarray(_insides(self._view(image, corners)).mean(axis=2))
+
+    def _view(self, image: Bytes, corners: Floats) -> Floats:
+        """Grey levels of a marker with these corners, seen from the front."""
         rim = outer_cells(self.name)
         count = self.cells + 2 * rim
         low, high = rim * _CELL_PX, (rim + self.cells) * _CELL_PX
@@ -188,8 +204,29 @@ class MarkerDetector:
         matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), square)
         size = count * _CELL_PX, count * _CELL_PX
         seen = cv2.warpPerspective(image, matrix, size, flags=cv2.INTER_LINEAR)
-        cells = seen.reshape(count, _CELL_PX, count, _CELL_PX)[:, 2:-2, :, 2:-2]
-        return np.asarray(cells.astype(np.float64).mean(axis=(1, 3)))
+        return np.asarray(seen, dtype=np.float64)
+
+
+def _insides(view: Floats) -> Floats:
+    """Grey levels (N, N, M) inside of the cells of a view."""
+    count = len(view) // _CELL_PX
+    cells = view.reshape(count, _CELL_PX, count, _CELL_PX)[:, 2:-2, :, 2:-2]
+    return cells.swapaxes(1, 2).reshape(count, count, -1)
+
+
+def _has_other_cells(view: Floats, pattern: Bytes) -> bool:
+    """Whether levels vary inside of cells, by more than any blur of the pattern explains.
+
+    `pattern`: with the margin, of one cell, that the view lacks.
+    """
+    sharp = np.kron(pattern, np.ones((_CELL_PX, _CELL_PX)))
+    for sigma_px in _BLURS_PX:
+        blurred = cv2.GaussianBlur(sharp, (0, 0), sigma_px)[_CELL_PX:-_CELL_PX, _CELL_PX:-_CELL_PX]
+        scale = np.cov(view.ravel(), blurred.ravel())[0, 1] / blurred.var()
+        rest = _insides(view - scale * blurred).std(axis=2)
+        if np.mean(rest > _ROUGH * 255.0 * scale) <= _MAX_ROUGH:
+            return False
+    return True
 
 
 def _enlarged(camera: Camera) -> Camera:

@@ -8,7 +8,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
-from vo.base.errors import SourceError
+from vo.base.errors import ConfigError, SourceError
 from vo.base.files.bounded_files import read_text
 from vo.recordings.sources.listing import list_images
 from vo.recordings.sources.single_image import read_single_image
@@ -43,17 +43,21 @@ class PairCounts(NamedTuple):
     model: str | None
 
 
-def image_set(folder: Path, pairs: Path | None = None, window: int | None = None) -> ImageSet:
+def image_set(
+    folder: Path,
+    pairs: Path | Sequence[tuple[str, str]] | None = None,
+    window: int | None = None,
+) -> ImageSet:
     """The images of a folder, and pairs of them: those of a list, or all.
 
-    `pairs`: text file with two names below the folder in each line. `window`: of all pairs, those
-    at most so many images apart in the order of their names.
+    `pairs`: two names below the folder each, or a text file with them in each line. `window`: of
+    all pairs, those at most so many images apart in the order of their names.
 
     Raises:
         SourceError: the list cannot be read, or there are no images, or too many pairs.
     """
     if pairs is not None:
-        listed = _listed(pairs, folder)
+        listed = _listed(pairs, folder) if isinstance(pairs, Path) else _checked(pairs)
         names = tuple(dict.fromkeys(name for pair in listed for name in pair))
         number = {name: at for at, name in enumerate(names)}
         chosen = dict.fromkeys((number[one], number[other]) for one, other in listed)
@@ -69,6 +73,15 @@ def image_set(folder: Path, pairs: Path | None = None, window: int | None = None
         )
     every = combinations(range(len(names)), 2)
     return ImageSet(folder, names, tuple(pair for pair in every if pair[1] - pair[0] <= reach))
+
+
+def _checked(pairs: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+    for each in pairs:
+        if isinstance(each, str) or len(each) != 2 or each[0] == each[1]:
+            raise ConfigError(f"`pairs` has {each!r}; give names of two images each, or a file")
+    if not pairs:
+        raise ConfigError("`pairs` is empty; give names of two images each, or a file")
+    return [(str(one), str(other)) for one, other in pairs]
 
 
 def _listed(path: Path, folder: Path) -> list[tuple[str, str]]:
