@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 if TYPE_CHECKING:
     from vo.api.features_by_name import Features
@@ -13,6 +13,14 @@ if TYPE_CHECKING:
     from vo.tools.laboratory.repeatability import PlaneScore
 
 __all__ = ["compare", "compare_planes", "create"]
+
+
+class ReadingWords(TypedDict, total=False):
+    """How a recording is read: its format, another calibration, the image topics of a log."""
+
+    format: str | None
+    calibration: str | Path | None
+    topics: Sequence[str]
 
 
 def create(name: str, **settings: Any) -> Features:
@@ -36,11 +44,9 @@ def compare(
     *,
     gaps: Sequence[int] = (1, 5, 15, 30),
     pairs: int = 8,
-    format: str | None = None,
-    calibration: str | Path | None = None,
-    topics: Sequence[str] = (),
     overrides: Sequence[str] = (),
     picture: str | Path | None = None,
+    **reading: Unpack[ReadingWords],
 ) -> list[Comparison]:
     """Score methods by the ground truth of a recording, as `vo features --compare` does.
 
@@ -49,11 +55,9 @@ def compare(
         methods: such as `["orb", "sift/flann", "klt"]`, or `all`.
         gaps: frames between the images of a pair.
         pairs: number of pairs for each gap.
-        format: of the recording, as for `vo.open`, like calibration and topics.
-        calibration: file to use instead of the recording's own.
-        topics: image topics of a log.
         overrides: settings of `features` and `matching`, such as `["features.count=2500"]`.
         picture: plot to write (.png, .pdf, .svg).
+        **reading: format, calibration and topics, as for `vo.open`.
 
     Returns:
         A row for each method and gap.
@@ -68,7 +72,7 @@ def compare(
     from vo.tools.laboratory.pictures import save_comparison
 
     chosen, plot = _methods(methods, overrides), _plot(picture)
-    source = open_left_images(recording, format=format, calibration=calibration, topics=topics)
+    source = open_left_images(recording, **reading)
     rows = compared(chosen, plan_pairs(source, _whole(gaps), pairs), source.rig.cam0)
     if plot is not None:
         save_comparison(plot, rows, source.name)
