@@ -16,6 +16,7 @@ class FaultKind(StrEnum):
     REPEATED_IMAGES = "repeated_images"
     REPEATED_RIGHT_IMAGES = "repeated_right_images"
     LEFT_CAMERA_ALONE = "left_camera_alone"
+    RIGHT_CAMERA_ALONE = "right_camera_alone"
     EXCHANGED_IMAGES = "exchanged_images"
     INTERLACED_IMAGES = "interlaced_images"
     TORN_IMAGES = "torn_images"

@@ -82,6 +82,7 @@ class Rig:
 
     Attributes:
         further: cameras 2, 3, and so on, of more than a pair.
+        is_exchanged: whether both of a pair have changed places; poses are those of cam1 then.
     """
 
     cam0: Camera
@@ -89,6 +90,7 @@ class Rig:
     cam1_from_cam0: Floats | None = None
     has_depth: bool = False
     further: tuple[MountedCamera, ...] = ()
+    is_exchanged: bool = False
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -111,6 +113,12 @@ class Rig:
         if count == 1:
             return Rig(self.cam0)
         return Rig(self.cam0, self.cam1, self.cam1_from_cam0, further=self.further[: count - 2])
+
+    def exchanged(self) -> Rig:
+        """The same pair, which is tracked by its other camera."""
+        assert self.cam1 is not None and self.cam1_from_cam0 is not None and not self.further
+        cam0_from_cam1 = np.asarray(np.linalg.inv(self.cam1_from_cam0))
+        return Rig(self.cam1, self.cam0, cam0_from_cam1, is_exchanged=not self.is_exchanged)
 
     @property
     def is_stereo(self) -> bool:

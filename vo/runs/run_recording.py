@@ -49,7 +49,14 @@ from vo.runs.inertial_checks import Unusable, why_unusable
 from vo.runs.run_options import RunOptions
 from vo.runs.run_session import OpenedRun, RunSession
 from vo.runs.scaling.scale_sources import make_scale_sources
-from vo.runs.second_pass import InertialContradiction, LensesFound, TrackAgain
+from vo.runs.second_pass import (
+    InertialContradiction,
+    LeftCameraUseless,
+    LensesFound,
+    TrackAgain,
+    exchanged,
+    known_at_first,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -115,15 +122,17 @@ def _again(
     reason: TrackAgain, before: OpenedRun, opened: OpenedRun, components: Components
 ) -> tuple[OpenedRun, Components]:
     """The recording opened anew, and the components, for another pass."""
-    unused, k1 = before.unused_imu, before.k1_error
+    unused, known = before.unused_imu, before.known
     if isinstance(reason, InertialContradiction):
         unused = replace(reason.use, states=None, first_frame=None, metric_worlds=())
         components = components._replace(inertial_sensor=None)
     if isinstance(reason, LensesFound):
-        k1 = reason.k1
-        components = components._replace(k1_error=k1)
+        known = known._replace(k1_error=reason.k1)
+        components = components._replace(k1_error=reason.k1)
+    if isinstance(reason, LeftCameraUseless):
+        known = known._replace(is_exchanged=True)
     camera = before.estimated_camera
-    opened = replace(opened, unused_imu=unused, k1_error=k1, estimated_camera=camera)
+    opened = replace(opened, unused_imu=unused, known=known, estimated_camera=camera)
     return replace(opened, warnings=before.warnings), components
 
 
@@ -132,12 +141,15 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     stream, config, options = opened.stream, opened.config, opened.options
     every, is_live = config.tracking.every, isinstance(stream, LiveStream)
     frames = stream.frames(options.start, options.end, options.stride * every)
+    rig = stream.rig
+    if opened.known.is_exchanged:
+        frames, rig = exchanged(frames), rig.exchanged()
     decided = _with_loops(config, options, is_live)
     is_metric = stream.rig.is_stereo or stream.rig.has_depth
     if not (is_live or is_metric) and components.inertial_sensor is None:
         decided = _with_rescue(decided, components)
     process = options.optimizer_process
-    with closing(Odometry(stream.rig, decided, components, process)) as odometry:
+    with closing(Odometry(rig, decided, components, process)) as odometry:
         if options.save_map is not None:
             odometry.map_alignment.check_savable(options.save_map)
         if every > 1 and isinstance(stream, Recording):
@@ -368,7 +380,8 @@ def _opened(
     given = options.scale if options.gps is None else replace(options.scale, gps=options.gps)
     sources = options.scale_sources
     scale = make_scale_sources(given, sources, stream, recording, options.topics)
-    return OpenedRun(stream, path, options.source_name or path, config, options, scale)
+    name, known = options.source_name or path, known_at_first(stream, config, options)
+    return OpenedRun(stream, path, name, config, options, scale, known=known)
 
 
 def _recorder(options: RunOptions, *, is_live: bool) -> Recorder:

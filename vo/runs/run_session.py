@@ -36,7 +36,7 @@ from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
 from vo.runs.run_summary import summarise_odometry
 from vo.runs.scaling.scale_sources import ScaleSources
-from vo.runs.second_pass import TrackAgain, check_lenses, check_sensor
+from vo.runs.second_pass import Known, TrackAgain, check_sensor, watched
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
@@ -63,7 +63,7 @@ class OpenedRun:
     options: RunOptions
     scale: ScaleSources = ScaleSources()
     unused_imu: InertialUse | None = None
-    k1_error: float = 0.0  # of both lenses, by an earlier pass
+    known: Known = Known()  # by an earlier pass
     warnings: tuple[LoggedWarning, ...] = ()  # of opening
     estimated_camera: EstimatedCamera | None = None  # without a calibration
 
@@ -168,8 +168,6 @@ class RunSession:
                 is_metric = self._odometry.trajectory.metric.is_metric(estimate.segment)
                 self._poses.send(estimate, is_metric=is_metric)
             self._output(estimate, clock)
-            if self._opened.k1_error == 0.0 and estimate.keyframes:
-                check_lenses(self._odometry, self._stream, self._options)
             self._folder.frames.append(frame_line(estimate, clock.stage_ms))
             self._statistics.add_times(clock.stage_ms)
             clock.stage_ms.clear()
@@ -186,7 +184,7 @@ class RunSession:
         """The results of all frames; those of a live stream at once, without reading ahead."""
         stream = self._stream
         if not isinstance(stream, LiveStream):
-            yield from self._odometry.track_all(frames)
+            yield from watched(self._odometry, frames, stream, self._opened.known)
             return
         interrupts.end_gently(stream.stop)
         for frame in frames:
@@ -199,7 +197,7 @@ class RunSession:
         """Finish the files and the recording after the last frame, and summarise."""
         self._end_progress()
         self._statistics.add_times(self._odometry.finish())
-        check_sensor(self._odometry.map_alignment.inertial, self._stream, self._options)
+        check_sensor(self._odometry.map_alignment.inertial, self._opened.known)
         self._statistics.faults.add(self._contradiction())
         clock = Stopwatch()
         with clock.stage("write"):

@@ -1,8 +1,17 @@
-"""Why a run is made again from its first frame: by a sensor or lenses that were taken for right."""
+"""Why a run is made again from its first frame: a sensor, lenses or a camera were not as taken."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.config import Config, MasksConfig
+from vo.base.faults import FaultKind
 from vo.base.records.inertial_use import InertialUse
+from vo.base.types import Estimate, Frame
 from vo.engine.odometry import Odometry
 from vo.recordings.sources.source import FrameStream, Recording
 from vo.runs.run_options import RunOptions
@@ -10,6 +19,7 @@ from vo.runs.run_options import RunOptions
 # Lenses found to be wrong by more pixels at the image's edges have bent what was tracked before
 # (KITTI 06: 0.085 m by 11 px; 0.026 by 7.6). Those of KITTI's drive of 2011 are, by 7 px at most.
 _MIN_EDGE_PX = 8.0
+_MIN_CONTRAST_RATIO = 3.0  # of right images to left ones
 
 
 class TrackAgain(Exception):
@@ -40,20 +50,85 @@ class LensesFound(TrackAgain):
         self.k1 = k1
 
 
-def check_sensor(use: InertialUse | None, stream: FrameStream, options: RunOptions) -> None:
+class LeftCameraUseless(TrackAgain):
+    """The left lens is fogged and the right one clear: the right camera has to track."""
+
+    def __init__(self, frame: int) -> None:
+        super().__init__(f"the left images are too faint, from frame {frame} on or before")
+
+
+class Known(NamedTuple):
+    """What is known of a recording from earlier passes.
+
+    Attributes:
+        can_repeat: whether the frames can be read again.
+        can_exchange: whether the cameras of a pair can change places.
+        k1_error: of both lenses.
+        is_exchanged: whether they have changed places.
+    """
+
+    can_repeat: bool = False
+    can_exchange: bool = False
+    k1_error: float = 0.0
+    is_exchanged: bool = False
+
+
+def known_at_first(stream: FrameStream, config: Config, options: RunOptions) -> Known:
+    """What is known before the first pass."""
+    can_repeat = isinstance(stream, Recording) and not options.follow
+    is_pair = len(stream.rig.cameras) == 2 and not stream.rig.has_depth
+    # What describes images of camera 0: they would be those of the other one.
+    files = {} if options.exports is None else options.exports.files
+    is_bound = config.masks != MasksConfig() or options.save_map or any(files.values())
+    return Known(can_repeat, can_repeat and is_pair and not is_bound)
+
+
+def check_sensor(use: InertialUse | None, known: Known) -> None:
     """Raise InertialContradiction if there is one, and frames can be read a second time."""
-    if use is not None and use.is_contradiction and _can_repeat(stream, options):
+    if use is not None and use.is_contradiction and known.can_repeat:
         raise InertialContradiction(use)
 
 
-def check_lenses(odometry: Odometry, stream: FrameStream, options: RunOptions) -> None:
-    """Raise LensesFound if those of a pair are so wrong that frames were tracked wrongly."""
-    if not (stream.rig.is_stereo and _can_repeat(stream, options)):
-        return
+def watched(
+    odometry: Odometry, frames: Iterator[Frame], stream: FrameStream, known: Known
+) -> Iterator[Estimate]:
+    """Track all frames, unless they have to be tracked again: raises TrackAgain."""
+    can_exchange = known.can_exchange and not known.is_exchanged
+    for estimate in odometry.track_all(frames):
+        if known.can_repeat and known.k1_error == 0.0 and estimate.keyframes:
+            _check_lenses(odometry, stream)
+        if can_exchange and any(each.kind is FaultKind.FAINT_IMAGES for each in estimate.faults):
+            can_exchange = False  # asked once
+            if _is_left_fogged(stream, estimate.frame_index):
+                raise LeftCameraUseless(estimate.frame_index)
+        yield _of_other_camera(estimate) if known.is_exchanged else estimate
+
+
+def exchanged(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Frames of pairs whose cameras have changed places; a frame without a right image is lost."""
+    for frame in frames:
+        if frame.images[1] is not None:
+            yield replace(frame, images=frame.images[::-1], path=None)
+
+
+def _check_lenses(odometry: Odometry, stream: FrameStream) -> None:
     error = odometry.calibration_errors.lens_error
-    if error is not None and abs(error.edge_px) > _MIN_EDGE_PX:
+    if error is not None and stream.rig.is_stereo and abs(error.edge_px) > _MIN_EDGE_PX:
         raise LensesFound(error.k1, error.edge_px)
 
 
-def _can_repeat(stream: FrameStream, options: RunOptions) -> bool:
-    return isinstance(stream, Recording) and not options.follow
+def _is_left_fogged(stream: FrameStream, index: int) -> bool:
+    """Whether a right image has several times the contrast of the left one."""
+    for frame in stream.frames(index, index + 1):
+        if frame.mask is not None or frame.stamps_ns is not None or stream.unpaired:
+            return False
+        left, right = (0.0 if i is None else float(np.std(i)) for i in frame.images[:2])
+        return right > _MIN_CONTRAST_RATIO * left
+    return False
+
+
+def _of_other_camera(estimate: Estimate) -> Estimate:
+    """An estimate that names the camera which has tracked alone as it is mounted."""
+    left, right = FaultKind.LEFT_CAMERA_ALONE, FaultKind.RIGHT_CAMERA_ALONE
+    faults = tuple(f._replace(kind=right) if f.kind is left else f for f in estimate.faults)
+    return replace(estimate, faults=faults)

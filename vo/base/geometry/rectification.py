@@ -39,7 +39,8 @@ class RectifiedRig:
         fy: focal length along v.
         baseline_m: distance from the left to the right camera, 0 in mono, `VIRTUAL_BASELINE_M` for
             cameras with depth.
-        cam0_from_rectified: (4, 4) rotation from the rectified left camera to the recorded cam0.
+        cam0_from_rectified: (4, 4) rotation from the rectified left camera to the recorded cam0; of
+            a pair that was exchanged to cam1, which has the poses.
         lens: the distorted camera, with its error corrected, whose images are used as recorded;
             None without distortion.
         maps: OpenCV's rectification maps of each camera, None for images used as recorded.
@@ -176,6 +177,9 @@ def rectified_rig(rig: Rig) -> RectifiedRig:
             have too little of the scene in common.
     """
     rectified = _rectified(rig)
+    if rig.is_exchanged and rig.cam1_from_cam0 is not None:
+        posed = rig.cam1_from_cam0 @ rectified.cam0_from_rectified
+        rectified = replace(rectified, cam0_from_rectified=posed)
     return replace(rectified, readout_s=rig.cam0.readout_s, recorded_rows=rig.cam0.height)
 
 

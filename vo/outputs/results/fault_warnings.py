@@ -52,6 +52,11 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "tracked with the left camera alone, as the right image did not agree: {frames}",
         "tracked with the left camera alone for too long to keep the scale: {frames}",
     ),
+    FaultKind.RIGHT_CAMERA_ALONE: (
+        "tracked with the right camera alone, as the left images are too faint (a fogged or dirty "
+        "lens?): {frames}",
+        "tracked with the right camera alone for too long to keep the scale: {frames}",
+    ),
     FaultKind.EXCHANGED_IMAGES: (
         "left and right images have changed places: {frames}",
         "left and right images have changed places: {frames}; lengths are wrong from there on; "
