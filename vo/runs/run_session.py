@@ -28,6 +28,7 @@ from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
 from vo.recordings.formats.warning_kinds import LoggedWarning
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
+from vo.runs.camera_poses import write_camera_poses
 from vo.runs.inertial_checks import contradiction_faults
 from vo.runs.interrupts import DeferredInterrupts, deferred_interrupts
 from vo.runs.pose_log import PoseLog
@@ -252,14 +253,14 @@ class RunSession:
 
     def _is_last(self, estimate: Estimate) -> bool:
         """Whether no frame of a recording is left after this one."""
-        step = self._facts.stride * self._facts.every
-        is_known = self._facts.requested > 0 and not self._options.follow
-        return is_known and estimate.frame_index + step >= self._facts.end
+        facts, is_known = self._facts, not self._options.follow and self._facts.requested > 0
+        return is_known and estimate.frame_index + facts.stride * facts.every >= facts.end
 
     def _finish_files(self) -> None:
         try:
             if not self._folder.is_finished:
                 self._write_changed()
+                write_camera_poses(self._folder.path, self._odometry.trajectory, self._stream)
                 if self._odometry.map_alignment.closed_loops:
                     self._folder.write_odometry(self._before_loops(in_metres=True))
         finally:
@@ -352,8 +353,7 @@ class RunSession:
         )
         record, flags = summary.to_dict(), self._options.flags
         record["warnings"] = [with_flags(text, flags) for text in record["warnings"]]
-        if summary.error is not None:
-            record["error"] = with_flags(summary.error, flags)
+        record |= {} if summary.error is None else {"error": with_flags(summary.error, flags)}
         self._folder.write_summary(record)
         return summary
 

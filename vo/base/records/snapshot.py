@@ -16,6 +16,21 @@ class FeatureState:
 
 
 @dataclass(frozen=True, eq=False)
+class FurtherImage:
+    """An image of another camera of a rig, of the same pinhole camera as that of `View.image0`.
+
+    Attributes:
+        name: such as `cam2`, and `cam2_1` of the second view of a wide lens.
+        image: None where it is missing.
+        cam0_from_image: (4, 4) from its camera to the recorded cam0.
+    """
+
+    name: str
+    image: Bytes | None
+    cam0_from_image: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class View:
     """A tracked frame for display.
 
@@ -33,6 +48,7 @@ class View:
         cam0_from_image0: (4, 4) from the camera of image0 to the recorded cam0.
         path: the file with the image of cam0 as recorded, or None.
         masks: (H, W) uint8 of image0 and image1, 0 where they were not used, or None.
+        further: of a rig, the images besides image0; the same ones in each frame.
     """
 
     image0: Bytes
@@ -48,6 +64,7 @@ class View:
     cam0_from_image0: Floats | None = None
     path: Path | None = None
     masks: tuple[Bytes | None, Bytes | None] = (None, None)
+    further: tuple[FurtherImage, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

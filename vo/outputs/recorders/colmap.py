@@ -15,13 +15,20 @@ from vo.base.errors import OutputError
 from vo.base.files.bounded_files import read_bytes
 from vo.base.geometry import cameras
 from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.transforms import inverse
 from vo.base.records.snapshot import View
-from vo.base.types import Bytes, Camera, Estimate, Floats32, Rig, Trajectory
+from vo.base.types import Bytes, Camera, Estimate, Floats, Floats32, Rig, Trajectory
 from vo.outputs.recorders.map_spool import Model
 from vo.outputs.recorders.ply import MapRecorder
 from vo.outputs.recorders.reconstruction import Reconstruction, camera_of, pinhole_of
 from vo.outputs.recorders.recorder import TakeSnapshot
-from vo.recordings.formats.colmap import MODEL_FILES, ModelPoints, ModelWriter, has_colmap_model
+from vo.recordings.formats.colmap import (
+    MODEL_FILES,
+    RIG_FILES,
+    ModelPoints,
+    ModelWriter,
+    has_colmap_model,
+)
 
 _IMAGES, _MODELS = "images", "sparse"
 _PARTIAL_SUFFIX = ".partial"
@@ -47,6 +54,8 @@ class ColmapRecorder(MapRecorder):
         self._names: dict[int, str] = {}
         self._frames = self._names  # keyframes without an image are left out
         self._camera: Camera | None = None
+        self._further: dict[int, list[str | None]] = {}  # names of the other images of a rig
+        self._first_from_others: list[Floats] = []
         self._maps: tuple[Floats32, Floats32] | None = None
 
     def begin(self, name: str, rig: Rig, ground_truth: Trajectory | None) -> None:
@@ -55,7 +64,7 @@ class ColmapRecorder(MapRecorder):
         Raises:
             OutputError: the folder cannot be written to, or it has models or images of others.
         """
-        self._is_rectified = rectified_rig(rig).maps[0] is not None
+        self._is_rectified = bool(rig.further) or rectified_rig(rig).maps[0] is not None
         try:
             self._refuse_foreign_files()
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)
@@ -78,6 +87,7 @@ class ColmapRecorder(MapRecorder):
             self._camera, self._maps = _output_camera(view)
         if estimate.is_keyframe:
             self._names[estimate.frame_index] = self._write_image(estimate, view)
+            self._write_further(estimate.frame_index, view)
         super().record(estimate, snapshot)
 
     def _write_image(self, estimate: Estimate, view: View) -> str:
@@ -87,6 +97,21 @@ class ColmapRecorder(MapRecorder):
             image = np.asarray(undistorted, dtype=np.uint8)
         is_recorded = self._maps is None and not self._is_rectified
         return self._images.add(estimate.frame_index, view.path, image, is_recorded=is_recorded)
+
+    def _write_further(self, frame_index: int, view: View) -> None:
+        """Write the images of the other cameras of a rig, in a folder for each."""
+        names: list[str | None] = []
+        first_from_cam0 = inverse(np.eye(4) if (p := view.cam0_from_image0) is None else p)
+        self._first_from_others = [first_from_cam0 @ o.cam0_from_image for o in view.further]
+        stem = self._names[frame_index].rpartition(".")[0]
+        for each in view.further:
+            names.append(None if each.image is None else f"{each.name}/{stem}.png")
+            if each.image is not None:
+                file = self._folder / _IMAGES / str(names[-1])
+                file.parent.mkdir(exist_ok=True)
+                file.unlink(missing_ok=True)  # a link would be followed
+                file.write_bytes(_png(each.image))
+        self._further[frame_index] = names
 
     def _write(self, models: list[Model]) -> None:
         written = [model for model in models if model.point_count] or models[:1]
@@ -131,7 +156,9 @@ class ColmapRecorder(MapRecorder):
         assert self._camera is not None
         is_pinhole = self._maps is not None
         # Of recorded images, with the correction of the lens that was estimated during the run.
-        with closing(ModelWriter(folder, self._camera if is_pinhole else model.camera)) as writer:
+        camera = self._camera if is_pinhole else model.camera
+        count = len(model.frame_index)
+        with closing(ModelWriter(folder, camera, self._first_from_others)) as writer:
             for image, points in model.walk():
                 frame, pose = int(model.frame_index[image.keyframe]), model.world_from_image0
                 xy = image.xy
@@ -139,6 +166,7 @@ class ColmapRecorder(MapRecorder):
                     xy = _undistorted(model.camera, self._camera, xy)
                 pose = pose[image.keyframe]
                 writer.add_image(image.keyframe, self._names[frame], pose, xy, image.point)
+                writer.add_frame(image.keyframe, pose, self._further.get(frame, ()), count)
                 if points is not None:
                     writer.add_points(ModelPoints(*points))
 
@@ -149,7 +177,7 @@ def _number(folder: Path) -> str:
 
 def _is_own_model(folder: Path) -> bool:
     """Whether a model was written here: text files, without the comment that COLMAP begins with."""
-    if not {each.name for each in folder.iterdir()} <= set(MODEL_FILES):
+    if not {each.name for each in folder.iterdir()} <= {*MODEL_FILES, *RIG_FILES}:
         return False
     cameras_file = folder / MODEL_FILES[0]
     return not cameras_file.is_file() or not cameras_file.read_bytes().startswith(b"#")

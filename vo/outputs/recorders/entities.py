@@ -112,6 +112,9 @@ def _map_view() -> rrb.Spatial3DView:
 
 def _images(rig: Rig) -> rrb.Container:
     views = [_image_view("Left", LEFT)]
+    if rig.further:
+        names = [f"cam{number}" for number in range(1, len(rig.cameras))]
+        return rrb.Grid(*views, *(_image_view(name, f"{CAM0}/{name}") for name in names))
     if rig.is_stereo:
         views.append(_image_view("Right", RIGHT))
     is_wide = rig.cam0.width > _WIDE * rig.cam0.height

@@ -65,6 +65,9 @@ class ViewLayer:
         right = None if right is None else dimmed(right, view.masks[1])
         self._add_image(moment, entities.LEFT_IMAGE, left, _LEFT_QUALITY)
         self._add_image(moment, entities.RIGHT_IMAGE, right, _RIGHT_QUALITY)
+        for each in view.further:
+            entity = f"{entities.CAM0}/{each.name}/image"
+            self._add_image(moment, entity, each.image, _RIGHT_QUALITY)
         self._add_features(moment, view)
         self._add_matches(moment, view)
         self._add_epipolar(moment, view, estimate.world_from_cam0)
@@ -73,7 +76,9 @@ class ViewLayer:
         """Log the constant poses of both rectified cameras relative to cam0."""
         cam0_from_left = np.eye(4) if view.cam0_from_image0 is None else view.cam0_from_image0
         self._log_camera(entities.LEFT, cam0_from_left, view)
-        if self._has_right:
+        for each in view.further:
+            self._log_camera(f"{entities.CAM0}/{each.name}", each.cam0_from_image, view)
+        if self._has_right and not view.further:
             left_from_right = make_transform(np.eye(3), np.array([view.baseline_m, 0.0, 0.0]))
             self._log_camera(entities.RIGHT, cam0_from_left @ left_from_right, view)
 

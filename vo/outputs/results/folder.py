@@ -33,9 +33,10 @@ _GROWING = (TRAJECTORY, CAUSAL, POSES, COVARIANCE, FRAMES)
 GLOBE = "path.geojson", "path.kml", "path_enu.tum"  # only with --georeference
 POSITIONS = "given_positions.csv"  # only with --gps
 MARKERS = "markers.csv"  # only with --markers
+CAMERAS = "cameras.csv"  # only of more than two cameras
 CAMERA = "estimated_calibration.yaml"  # only without a calibration
 
-RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, *GLOBE, POSITIONS, MARKERS, CAMERA)
+RESULTS = (*_GROWING, ODOMETRY, SUMMARY, CONFIG, *GLOBE, POSITIONS, MARKERS, CAMERAS, CAMERA)
 PARTIAL_FILES = tuple(name + PARTIAL_SUFFIX for name in _GROWING)
 
 

@@ -6,6 +6,7 @@ cam_from_world with quaternions in the order w x y z; ids begin at 1.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +16,7 @@ from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
 from vo.base.types import Bytes, Camera, Floats, Ints
 
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")
+RIG_FILES = ("rigs.txt", "frames.txt")
 CENTRE_TO_CORNER_PX = 0.5
 _WITHOUT_K3, _WITH_K3 = 4, 5  # numbers of radtan coefficients
 
@@ -41,10 +43,10 @@ def camera_model(camera: Camera) -> tuple[str, list[float]]:
     return model, [float(v) for v in (camera.fx, camera.fy, *centre, *coefficients)]
 
 
-def camera_line(camera: Camera) -> str:
+def camera_line(camera: Camera, number: int = 1) -> str:
     """`1 MODEL width height parameters`; for cameras with a COLMAP model only."""
     model, values = camera_model(camera)
-    return f"1 {model} {camera.width} {camera.height} {' '.join(map(repr, values))}"
+    return f"{number} {model} {camera.width} {camera.height} {' '.join(map(repr, values))}"
 
 
 class ModelWriter:
@@ -52,13 +54,28 @@ class ModelWriter:
 
     Args:
         folder: output folder, which must exist; a model in it is replaced.
+        first_from_others: of a rig, poses of its other cameras, all with the same lens.
 
     Raises:
         OSError: here and in every method: the files cannot be written.
     """
 
-    def __init__(self, folder: Path, camera: Camera) -> None:
-        (folder / "cameras.txt").write_text(f"{camera_line(camera)}\n", encoding="utf-8")
+    def __init__(
+        self, folder: Path, camera: Camera, first_from_others: Sequence[Floats] = ()
+    ) -> None:
+        numbers = range(1, len(first_from_others) + 2)
+        cameras = "".join(f"{camera_line(camera, number)}\n" for number in numbers)
+        (folder / "cameras.txt").write_text(cameras, encoding="utf-8")
+        self._first_from_others = first_from_others
+        self._frames = None
+        if first_from_others:
+            sensors = [
+                f"CAMERA {number} 1 {_pose_text(inverse(pose))}"
+                for number, pose in enumerate(first_from_others, start=2)
+            ]
+            line = f"1 {len(numbers)} CAMERA 1 {' '.join(sensors)}\n"
+            (folder / "rigs.txt").write_text(line, encoding="utf-8")
+            self._frames = (folder / "frames.txt").open("w", encoding="utf-8")
         self._images = (folder / "images.txt").open("w", encoding="utf-8")
         self._points = (folder / "points3D.txt").open("w", encoding="utf-8")
 
@@ -71,12 +88,31 @@ class ModelWriter:
         `xy`: (N, 2) observations in pixels, the centre of the top-left pixel at (0, 0).
         `point`: (N,) numbers of their points, from 0.
         """
-        pose = inverse(world_from_cam)
-        x, y, z, w = quat_xyzw_from_rotation(pose[:3, :3]).tolist()
-        values = (w, x, y, z, *pose[:3, 3].tolist())
         pairs = zip((xy + CENTRE_TO_CORNER_PX).tolist(), point.tolist(), strict=True)
         observations = " ".join(f"{u:.3f} {v:.3f} {number + 1}" for (u, v), number in pairs)
-        self._images.write(f"{row + 1} {' '.join(map(repr, values))} 1 {name}\n{observations}\n")
+        pose = _pose_text(inverse(world_from_cam))
+        self._images.write(f"{row + 1} {pose} 1 {name}\n{observations}\n")
+
+    def add_frame(
+        self, row: int, world_from_cam: Floats, others: Sequence[str | None], count: int
+    ) -> None:
+        """Add the images of the other cameras of a rig, and that they and an image are one frame.
+
+        `row`: that of the image of the first camera. `others`: names of the others by camera, None
+        where one is missing. `count`: number of all images of the first camera.
+        """
+        if self._frames is None:
+            return
+        images = [(1, row + 1)]
+        for camera, name in enumerate(others, start=2):
+            if name is not None:
+                number = (camera - 1) * count + row + 1
+                pose = inverse(world_from_cam @ self._first_from_others[camera - 2])
+                self._images.write(f"{number} {_pose_text(pose)} {camera} {name}\n\n")
+                images.append((camera, number))
+        listed = " ".join(f"CAMERA {camera} {number}" for camera, number in images)
+        pose_text = _pose_text(inverse(world_from_cam))
+        self._frames.write(f"{row + 1} 1 {pose_text} {len(images)} {listed}\n")
 
     def add_points(self, points: ModelPoints) -> None:
         """Add points."""
@@ -97,6 +133,14 @@ class ModelWriter:
             self._images.close()
         finally:
             self._points.close()
+            if self._frames is not None:
+                self._frames.close()
+
+
+def _pose_text(cam_from_world: Floats) -> str:
+    """Quaternion w x y z and translation."""
+    x, y, z, w = quat_xyzw_from_rotation(cam_from_world[:3, :3]).tolist()
+    return " ".join(map(repr, (w, x, y, z, *cam_from_world[:3, 3].tolist())))
 
 
 class ModelPoints(NamedTuple):

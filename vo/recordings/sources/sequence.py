@@ -65,6 +65,7 @@ class ImageSequence:
         unpaired: number of its frames so far without depth or all images, if the rig has more
             than one camera or depth.
         right_offset_ns: added to the stamps of right images before they were paired.
+        image_stamps_ns: of each frame the times of its images; None with a common trigger.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class ImageSequence:
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
         self._further = images.further
-        self._image_stamps_ns = images.stamps_ns
+        self.image_stamps_ns = images.stamps_ns
         self._levels = images.levels
         self._depth = images.depth
         self._close = close
@@ -190,7 +191,7 @@ class ImageSequence:
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
                 # Images of kind `recorded` may be uint16.
                 recorded = cast("tuple[Bytes | None, ...]", (left, *images))
-                stamps = None if self._image_stamps_ns is None else self._image_stamps_ns[index]
+                stamps = None if self.image_stamps_ns is None else self.image_stamps_ns[index]
                 yield Frame(index, shot.stamp_ns, recorded, depth, path, stamps_ns=stamps)
 
     def _names(self) -> list[str]:

@@ -66,8 +66,8 @@ def _baseline(length_m: float, depth_m: float | None) -> Iterator[Finding]:
 
 
 def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
-    """Findings about the stereo pair."""
-    if rig.cam1_from_cam0 is None:
+    """Findings about the stereo pair, of a larger rig its first two if they are one."""
+    if rig.cam1_from_cam0 is None or (rig.further and report.pair is None):
         return
     depth_m = None if report.stereo is None else report.stereo.depth_m
     yield from _baseline(float(np.linalg.norm(rig.cam1_from_cam0[:3, 3])), depth_m)
