@@ -79,7 +79,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.runs": (
         {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"},
         {"run_options", "run_scale", "run_summary"},
-        {"camera_estimation", "second_pass"},
+        {"camera_estimation", "camera_poses", "second_pass"},
         {"run_session"},
         {"run_recording"},
         {"batch"},
