@@ -209,10 +209,10 @@ def _with_rescue(config: Config, components: Components) -> Config:
     is_usual = features.is_orb and method == "auto" and config.tracking.method == "patches"
     if features.rescue != "auto" or is_exchanged or not is_usual:
         return config
-    from vo.engine.learned.files import models_folder
+    from vo.engine.learned.files import model_file
 
     try:
-        if not (models_folder() / "xfeat.onnx").is_file():
+        if not model_file("xfeat").is_file():
             return config
     except RuntimeError:  # there is no home
         return config

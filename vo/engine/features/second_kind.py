@@ -19,7 +19,7 @@ from vo.engine.frontend.contracts import (
     PointDescriber,
     SearchRegion,
 )
-from vo.engine.learned.files import models_folder
+from vo.engine.learned.files import model_file
 from vo.engine.learned.inference import networks_so_far, networks_used
 
 _log = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ class SecondKind:
         self._loaded: tuple[PointDescriber, Matcher] | None = None
         features, method = config.features, config.matching.method
         is_usual = (method, features.backend, features.device) == ("auto", "auto", "auto")
-        if not (is_usual and (models_folder() / f"{features.rescue}.onnx").is_file()):
+        if not (is_usual and model_file(features.rescue).is_file()):
             self._kind()
 
     def is_usable(self) -> bool:

@@ -1,10 +1,11 @@
-"""Model files in the user's cache folder: where they are, and whether they are intact."""
+"""Model files, of the user's cache folder or a package: where they are, whether intact."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import os
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from vo.base.files.complete_file import complete_file
 if TYPE_CHECKING:  # importing it takes 13 ms, and every run looks for a model
     from vo.engine.learned.catalog import Model
 
+WEIGHTS_PACKAGE = "visual_odometry_weights"  # which scripts/weights.py makes
 _FOLDER_VARIABLE = "VO_MODELS"
 _MAX_BYTES = 2**30
 
@@ -28,9 +30,20 @@ def models_folder() -> Path:
     return base / "vo" / "models"
 
 
+def model_file(name: str) -> Path:
+    """The ONNX file of a model: that of the folder, else of the package of weights, if installed.
+
+    Of neither, where it will be.
+    """
+    path = models_folder() / f"{name}.onnx"
+    found = None if path.is_file() else find_spec(WEIGHTS_PACKAGE)
+    places = (found and found.submodule_search_locations) or ()
+    return next((each for place in places if (each := Path(place) / path.name).is_file()), path)
+
+
 def path_of(model: Model) -> Path:
     """Where the ONNX file of a model is, or will be."""
-    return models_folder() / f"{model.name}.onnx"
+    return model_file(model.name)
 
 
 def fetching_command(model: Model) -> str:
@@ -69,17 +82,12 @@ def verify(model: Model) -> Path:
 
 
 def write(model: Model, content: bytes, weights_sha256: str) -> Path:
-    """Write the ONNX file of a model, and beside it what `verify` compares it with.
-
-    Args:
-        model: the model.
-        content: of the ONNX file.
-        weights_sha256: of the weights that it was made from.
+    """Write the ONNX file of a model to the folder, and what `verify` compares it with beside it.
 
     Raises:
         OutputError: it cannot be written; nothing is left then.
     """
-    path = path_of(model)
+    path = models_folder() / f"{model.name}.onnx"
     record = {
         "model": model.name,
         "sha256": sha256_of(content),
