@@ -22,8 +22,7 @@ _MAX_BYTES = 2**30
 
 def models_folder() -> Path:
     """Folder of the model files: VO_MODELS, or a folder in the user's cache."""
-    given = os.environ.get(_FOLDER_VARIABLE)
-    if given:
+    if given := os.environ.get(_FOLDER_VARIABLE):
         return Path(given)
     cache = os.environ.get("XDG_CACHE_HOME")
     base = Path(cache) if cache and os.path.isabs(cache) else Path.home() / ".cache"
@@ -99,7 +98,7 @@ def write(model: Model, content: bytes, weights_sha256: str) -> Path:
         with complete_file(path) as file:
             file.write(content)
         try:
-            with complete_file(_record_path(path)) as file:
+            with complete_file(path.with_suffix(".json")) as file:
                 file.write(json.dumps(record, indent=1).encode())
         except BaseException:
             path.unlink(missing_ok=True)  # without its record it would count as damaged
@@ -114,13 +113,9 @@ def sha256_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def _record_path(path: Path) -> Path:
-    return path.with_suffix(".json")
-
-
 def _record_of(path: Path) -> dict[str, Any]:
     try:
-        record = json.loads(_record_path(path).read_bytes()[:_MAX_BYTES])
+        record = json.loads(path.with_suffix(".json").read_bytes()[:_MAX_BYTES])
     except (OSError, ValueError):
         return {}
     return record if isinstance(record, dict) else {}
