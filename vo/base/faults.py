@@ -17,6 +17,7 @@ class FaultKind(StrEnum):
     REPEATED_RIGHT_IMAGES = "repeated_right_images"
     LEFT_CAMERA_ALONE = "left_camera_alone"
     RIGHT_CAMERA_ALONE = "right_camera_alone"
+    CAMERA_LEFT_OUT = "camera_left_out"
     EXCHANGED_IMAGES = "exchanged_images"
     INTERLACED_IMAGES = "interlaced_images"
     TORN_IMAGES = "torn_images"

@@ -49,7 +49,7 @@ class AdjustedWindow(NamedTuple):
 
 def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWindow | None:
     """Optimise a window; None where no landmark constrains its poses."""
-    point_ok = _well_observed(problem)
+    point_ok = well_observed(problem)
     gauge = gauge_of(problem)
     if gauge.held.all() or not point_ok[problem.point].any():
         return None
@@ -220,7 +220,7 @@ def _constant_error(normal: NormalEquations, error: Floats) -> float:
     return float(np.sqrt(max(2.0 * normal.cost - float(error @ error), 0.0)))
 
 
-def _well_observed(problem: WindowProblem) -> Bools:
+def well_observed(problem: WindowProblem) -> Bools:
     """(M,) points observed by at least two keyframes, and in front of all of them."""
     _, depth = residuals(problem, problem.world_from_cam, problem.points)
     count = np.bincount(problem.point, minlength=len(problem.points))

@@ -30,6 +30,8 @@ _USUAL_RESIDUAL, _LEAST_NOISE = 0.2, 0.2
 class WindowSolution(NamedTuple):
     """The solution of a `WindowProblem` of K poses and M points.
 
+    Of a rig, `held` and `information` are those of the bodies.
+
     Attributes:
         held: (K,) poses that stayed where they were: the fixed ones, or else the first.
         information: (6 K, 6 K) on all poses, tangent (rx ry rz tx ty tz) in the camera's own
@@ -37,6 +39,7 @@ class WindowSolution(NamedTuple):
         point_ok: (M,) False for degenerate points.
         calibration_residual: None if it is not determined, or not estimated.
         converged: False if nothing could be optimised; all is then as in the problem.
+        metre: of a rig, change of the length of a metre in the map, and the information on it.
     """
 
     world_from_cam: Floats
@@ -47,10 +50,15 @@ class WindowSolution(NamedTuple):
     calibration_residual: CalibrationResidual | None
     converged: bool
     states: dict[int, Floats]
+    metre: tuple[float, float] = (0.0, 0.0)
 
 
 def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     """Optimise a window in this process."""
+    if problem.ties is not None:
+        from vo.engine.backend.rig_adjustment import solve_rig  # only rigs need it
+
+        return solve_rig(problem, problem.ties, config)
     from vo.engine.backend.bundle_adjustment import adjust_window  # importing GTSAM takes long
 
     adjusted = adjust_window(problem, config)

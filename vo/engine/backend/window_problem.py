@@ -81,6 +81,23 @@ class WindowProblem:
     sigma_px: Floats
     estimates_calibration: bool = True
     factors: tuple[WindowFactor, ...] = ()
+    ties: Ties | None = None
+
+
+class Ties(NamedTuple):
+    """How the K poses of a window are views of B poses of a rig, V of each, one after the other.
+
+    Attributes:
+        body_from_view: (K, 4, 4).
+        lever: (K, 3) change of their translations with the length of a metre in the map, where
+            that is unknown; None where it is known.
+        lever_information: on that length, from earlier windows.
+    """
+
+    body_from_view: Floats
+    views: int
+    lever: Floats | None = None
+    lever_information: float = 0.0
 
 
 class Gauge(NamedTuple):

@@ -100,11 +100,21 @@ _VERY_FEW_LANDMARKS, _MIN_PARALLAX_VERY_FEW_DEG = 100, 0.3
 _MAX_CORRECTION_PX = 3.0  # of a match, when its patch is predicted with the surface
 
 
-class _Parallax(NamedTuple):
-    """Minimum parallax of a landmark: an angle, and a ratio of that by which its image moved."""
+class Search(NamedTuple):
+    """What is searched in a pair of keyframes.
+
+    Attributes:
+        min_deg: minimum parallax of a landmark.
+        min_ratio: the same relative to the angle by which its image has moved.
+        depth: usual depth where the older keyframe has no landmarks to tell it; None if unknown.
+        turns: whether patches are turned as the keyframes are to each other, as in cameras that
+            look to different sides.
+    """
 
     min_deg: float
     min_ratio: float
+    depth: float | None = None
+    turns: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,44 +180,49 @@ class KeyframeTriangulator:
         earlier = self._map.keyframes[:-1][-self._config.neighbours :]
         most = len(keyframe.landmark) + self._config.new_per_keyframe
         min_deg = self._config.min_parallax_deg
-        for parallax, wanted in (
-            (_Parallax(min_deg, _PARALLAX_RATIO), most),
-            (_Parallax(min_deg, 0.0), min(_FEW_LANDMARKS, most)),
-            (_Parallax(_MIN_PARALLAX_VERY_FEW_DEG, 0.0), min(_VERY_FEW_LANDMARKS, most)),
+        for search, wanted in (
+            (Search(min_deg, _PARALLAX_RATIO), most),
+            (Search(min_deg, 0.0), min(_FEW_LANDMARKS, most)),
+            (Search(_MIN_PARALLAX_VERY_FEW_DEG, 0.0), min(_VERY_FEW_LANDMARKS, most)),
         ):
             for older in reversed(earlier):
                 room = wanted - len(keyframe.landmark)
                 if room > 0:
-                    self._triangulate(older, keyframe, image, parallax, room)
+                    self.triangulate(older, keyframe, image, search, room)
 
-    def _triangulate(
-        self, older: Keyframe, newer: Keyframe, image: Bytes, parallax: _Parallax, room: int
+    def triangulate(
+        self, older: Keyframe, newer: Keyframe, image: Bytes, search: Search, room: int
     ) -> None:
         """Add at most `room` landmarks of free features of `older` that `newer` sees too."""
-        pair = self._match(older, newer, image)
+        pair = self._match(older, newer, image, search)
         if pair is None:
             return
-        points = self._points(pair, parallax)
+        points = self._points(pair, search)
         pair = pair.select(points.valid)
         found = self._align_on_surfaces(pair, points.xyz[points.valid])
+        if search.turns:
+            turn = older.world_from_cam[:3, :3].T @ newer.world_from_cam[:3, :3]
+            found = self._patches.without_curvature(found, turn, self._map.rig.intrinsics)
         good = self._patches.is_found(found)
         good &= np.linalg.norm(found.xy - pair.image_xy, axis=1) <= _MAX_CORRECTION_PX
-        pair = self._at_middle_rows(pair.moved(good, found.xy, self._map.rig), parallax)
-        points = self._points(pair, parallax)
+        pair = self._at_middle_rows(pair.moved(good, found.xy, self._map.rig), search)
+        points = self._points(pair, search)
         chosen = np.flatnonzero(points.valid)
         if len(chosen) > room:
             angle = points.angle[chosen]
             chosen = np.sort(chosen[np.argsort(-angle, kind="stable")[:room]])
         self._add(pair.select(chosen), points.xyz[chosen])
 
-    def _match(self, older: Keyframe, newer: Keyframe, image: Bytes) -> _Pair | None:
+    def _match(
+        self, older: Keyframe, newer: Keyframe, image: Bytes, search: Search
+    ) -> _Pair | None:
         """Free features that match along epipolar segments and by their patches.
 
         The keyframes may lie so far behind each other that what is nearest in the older one is
         behind the camera in the newer one.
         """
         newer_from_older = inverse(newer.world_from_cam) @ older.world_from_cam
-        depth = self._median_depth(older)
+        depth = self._median_depth(older) or search.depth
         baseline = float(np.linalg.norm(newer_from_older[:3, 3]))
         if depth is None or baseline < _MIN_BASELINE_RATIO * depth:
             return None
@@ -231,7 +246,8 @@ class KeyframeTriangulator:
         if len(query) == 0:
             return None
         guess = newer.keypoints.xy[train].astype(np.float64)
-        found = self._patches.align(self._patches_of(older, query), image, guess)
+        warp = self._turned(older.undistorted_xy[query], newer_from_older) if search.turns else None
+        found = self._patches.align(self._patches_of(older, query, warp), image, guess)
         octave_size = self._scale_factor ** newer.keypoints.octave[train]
         good = self._patches.is_found(found)
         good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * octave_size
@@ -245,24 +261,24 @@ class KeyframeTriangulator:
         xy = keyframe.keypoints.xy[rows].astype(np.float64)
         return patches_of(self._map.images[keyframe.slot], xy, reference_from_target)
 
-    def _points(self, pair: _Pair, parallax: _Parallax) -> TriangulatedPoints:
+    def _points(self, pair: _Pair, search: Search) -> TriangulatedPoints:
         """Triangulated points in the frame of the older keyframe."""
         return triangulate_pixels(
             pair.newer_from_older,
             pair.older_xy,
             pair.xy,
             self._map.rig.intrinsics,
-            min_parallax_rad=float(np.deg2rad(parallax.min_deg)),
-            min_parallax_ratio=parallax.min_ratio,
+            min_parallax_rad=float(np.deg2rad(search.min_deg)),
+            min_parallax_ratio=search.min_ratio,
             max_error_px=self._config.gate * self._patches.sigma_px,
         )
 
-    def _at_middle_rows(self, pair: _Pair, parallax: _Parallax) -> _Pair:
+    def _at_middle_rows(self, pair: _Pair, search: Search) -> _Pair:
         """The pair with pixels that are corrected for a rolling shutter by their own depths."""
         older, newer, rig = pair.older, pair.newer, self._map.rig
         if older.velocity is None and newer.velocity is None:
             return pair
-        points = self._points(pair, parallax)
+        points = self._points(pair, search)
         ahead = np.array([0.0, 0.0, 1.0 / pair.inverse_depth])
         xyz = np.where(points.valid[:, None], points.xyz, ahead)
         in_newer = transform_points(pair.newer_from_older, xyz)
@@ -307,6 +323,14 @@ class KeyframeTriangulator:
         newer.add_observations(without_disparity(ids, pair.xy, pair.image_xy, sigma_px))
         older.free[query] = False
         newer.free[pair.train] = False
+
+    def _turned(self, xy: Floats, newer_from_older: Floats) -> Floats:
+        """Warps (n, 2, 2) to the older keyframe of patches at pixels (n, 2) of far points."""
+        rig = self._map.rig
+        beside = np.concatenate([xy, xy + (1.0, 0.0), xy + (0.0, 1.0)])
+        rays = rig.back_project(beside, np.ones(len(beside))) @ newer_from_older[:3, :3].T
+        at, right, down = rig.project(rays).reshape(3, -1, 2)
+        return np.asarray(np.linalg.inv(np.stack([right - at, down - at], axis=2)))
 
     def _median_depth(self, keyframe: Keyframe) -> float | None:
         rows = self._map.rows(keyframe.landmark)

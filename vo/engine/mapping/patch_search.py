@@ -35,9 +35,12 @@ class FoundPatches(NamedTuple):
 
 
 def find_patches(
-    local_map: LocalMap, rows: Ints, camera: Ints, patches: PatchAligner
+    local_map: LocalMap, rows: Ints, camera: Ints, patches: PatchAligner, *, turns: bool = False
 ) -> FoundPatches:
-    """Find landmarks (N,), by row, to sub-pixel in keyframes (N,) that may show them."""
+    """Find landmarks (N,), by row, to sub-pixel in keyframes (N,) that may show them.
+
+    `turns`: whether keyframes may look to other sides than those with the patches.
+    """
     rig = local_map.rig
     reference = local_map.reference - local_map.keyframes[0].id
     slots = np.array([k.slot for k in local_map.keyframes])
@@ -59,6 +62,10 @@ def find_patches(
         seen.reference_from_target[kept],
     )
     found = patches.align_in(references, local_map.images, slots[camera], expected)
+    if turns:
+        rotations = local_map.poses[:, :3, :3]
+        turn = rotations[reference[rows]].swapaxes(1, 2) @ rotations[camera]
+        found = patches.without_curvature(found, turn, rig.intrinsics)
     shift = np.linalg.norm(found.xy - expected, axis=1)
     ideal = _at_middle_row(local_map, camera, found.xy, near[inside])
     good = patches.is_found(found) & (shift <= patches.max_shift_px)

@@ -28,13 +28,19 @@ _ENOUGH = 5
 
 
 class LandmarkAligner:
-    """Finds landmarks in a frame to sub-pixel."""
+    """Finds landmarks in a frame to sub-pixel.
+
+    Attributes:
+        world_from_image: (3, 3) rotation of the image's view, in a rig whose views look to
+            different sides; else None.
+    """
 
     def __init__(self, local_map: LocalMap, frontend: Frontend, min_inliers: int) -> None:
         self._map = local_map
         self._patches = frontend.patches
         self._stereo = frontend.stereo
         self._min_inliers = min_inliers
+        self.world_from_image: Floats | None = None
 
     def candidates(self, visible: Visible, last: LastFrame | None) -> Visible:
         """The landmarks that can be found: all, by their patches."""
@@ -52,6 +58,11 @@ class LandmarkAligner:
             visible.reference_from_image,
         )
         found = self._patches.align(references, frame.image0, visible.image_xy)
+        if self.world_from_image is not None:
+            rotations = np.stack([k.world_from_cam[:3, :3] for k in self._map.keyframes])
+            of_patch = rotations[self._map.reference[rows] - self._map.keyframes[0].id]
+            turn = of_patch.swapaxes(1, 2) @ self.world_from_image
+            found = self._patches.without_curvature(found, turn, self._map.rig.intrinsics)
         x, y = (found.xy - visible.image_xy).T
         ideal = self._map.rig.undistort(found.xy)
         kept = found.nearly & self._patches.is_similar(found)

@@ -57,6 +57,11 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "lens?): {frames}",
         "tracked with the right camera alone for too long to keep the scale: {frames}",
     ),
+    FaultKind.CAMERA_LEFT_OUT: (
+        "up to {value:.0f} of the rig's cameras at a time are missing, covered, dark or frozen, "
+        "and left out: {frames}",
+        "no camera of the rig has an image that could be used: {frames}",
+    ),
     FaultKind.EXCHANGED_IMAGES: (
         "left and right images have changed places: {frames}",
         "left and right images have changed places: {frames}; lengths are wrong from there on; "

@@ -1,0 +1,194 @@
+"""Bundle adjustment of a window of a rig, whose views are tied to the poses of its body.
+
+The observations are linearised by views, as those of a single camera; their normal equations are
+then taken to the bodies by the adjoints of the views on them: H_body = A^T H_views A.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.transforms import adjoint, inverse, orthonormalised, se3_exp
+from vo.base.types import Bools, Floats, Ints
+from vo.engine.backend.bundle import Bundle
+from vo.engine.backend.bundle_adjustment import well_observed
+from vo.engine.backend.residuals import residuals, with_measured_noise
+from vo.engine.backend.solution import WindowSolution, information_by_images
+from vo.engine.backend.window_problem import Ties, WindowProblem
+
+if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
+    from vo.base.config import SmoothingConfig
+
+_INITIAL_LAMBDA, _LAMBDA_FACTOR, _MAX_TRIES = 1e-4, 10.0, 5  # of Levenberg and Marquardt
+_SCALE_SIGMA = 0.02  # of the distance of the farthest body, where nothing else gives the scale
+
+
+class _State(NamedTuple):
+    """Poses (B, 4, 4) of the bodies, and the change of the length of a metre in the map."""
+
+    bodies: Floats
+    metre: float
+
+
+def solve_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> WindowSolution:
+    """Optimise a window of a rig."""
+    window = _RigWindow(problem, ties, config)
+    held, count = window.held, len(window.held)
+    if held.all() or not window.point_ok[problem.point].any():
+        return _unsolved(problem, held)
+    state = window.optimise()
+    poses = window.poses(state)
+    points = window.bundle.points_for(poses)
+    ok = window.point_ok
+    if not (np.isfinite(poses).all() and np.isfinite(points[ok]).all()):
+        return _unsolved(problem, held)
+    _, depth = residuals(problem, poses, points)
+    ok[problem.point[~(depth > 0)]] = False
+    by_views = information_by_images(problem, poses, points, ok, config)
+    onto_bodies = _adjoints(ties.body_from_view, ties.views, np.arange(count), count)
+    information = onto_bodies.T @ by_views @ onto_bodies
+    metre = state.metre, window.metre_information(by_views, information)
+    return WindowSolution(poses, held, information, points, ok, None, True, {}, metre)
+
+
+def _unsolved(problem: WindowProblem, held: Bools) -> WindowSolution:
+    nothing = np.zeros((6 * len(held), 6 * len(held)))
+    ok = np.ones(len(problem.points), dtype=bool)
+    return WindowSolution(
+        problem.world_from_cam, held, nothing, problem.points, ok, None, False, {}
+    )
+
+
+class _RigWindow:
+    """A window with its bodies as variables, and with the length of a metre where it is unknown."""
+
+    def __init__(self, problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> None:
+        self._ties, self._config = ties, config
+        self._start = problem.world_from_cam[:: ties.views] @ inverse(
+            ties.body_from_view[:: ties.views]
+        )
+        self.held = problem.fixed[:: ties.views].copy()
+        if not self.held.any():
+            self.held[0] = True
+        self.point_ok = well_observed(problem)
+        self._free = np.flatnonzero(~self.held)
+        # A metre of another length moves the views of held bodies too.
+        moves = np.ones(len(self.held), bool) if ties.lever is not None else ~self.held
+        fixed = ~np.repeat(moves, ties.views)
+        weighted = replace(with_measured_noise(problem), fixed=fixed)
+        self.bundle = Bundle(weighted, self.point_ok, config)
+        self._onto = self._columns(moves)
+        self._prior = self._scale_prior()
+
+    def poses(self, state: _State) -> Floats:
+        """(K, 4, 4) of the views."""
+        ties, tied = self._ties, self._ties.body_from_view
+        if ties.lever is not None:
+            tied = tied.copy()
+            tied[:, :3, 3] += state.metre * ties.lever
+        return np.asarray(np.repeat(state.bodies, ties.views, axis=0) @ tied)
+
+    def optimise(self) -> _State:
+        """Minimise by Levenberg and Marquardt."""
+        state, damping = _State(self._start.copy(), 0.0), _INITIAL_LAMBDA
+        cost = self._cost(state)
+        for _ in range(self._config.iterations):
+            normal = self.bundle.normal_equations(self.poses(state))
+            hessian = self._onto.T @ normal.hessian @ self._onto
+            gradient = self._onto.T @ normal.gradient
+            off = self._off(state)
+            hessian[np.diag_indices_from(hessian)] += self._prior
+            gradient += self._prior * off
+            for _ in range(_MAX_TRIES):
+                damped = hessian + np.diag(damping * np.diag(hessian) + 1e-12)
+                try:
+                    step = -np.linalg.solve(damped, gradient)
+                except np.linalg.LinAlgError:
+                    return state
+                trial = self._moved(state, np.asarray(step))
+                new = self._cost(trial)
+                if new < cost:
+                    break
+                damping *= _LAMBDA_FACTOR
+            else:
+                return state
+            decrease, state, cost = cost - new, trial, new
+            damping /= _LAMBDA_FACTOR
+            if decrease < self._config.relative_error_tolerance * cost:
+                break
+        return state
+
+    def metre_information(self, by_views: Floats, information: Floats) -> float:
+        """Information on the length of a metre, all poses but the held ones unknown."""
+        lever = self._ties.lever
+        if lever is None:
+            return 0.0
+        column = self._lever_column()
+        free = np.flatnonzero(np.repeat(~self.held, 6))
+        count = len(self.held)
+        onto = _adjoints(self._ties.body_from_view, self._ties.views, np.arange(count), count)
+        coupling = (onto.T @ (by_views @ column))[free]
+        own = float(column @ by_views @ column)
+        inner = information[np.ix_(free, free)]
+        return max(0.0, own - float(coupling @ np.linalg.pinv(inner, hermitian=True) @ coupling))
+
+    def _columns(self, moves: Bools) -> Floats:
+        """A: how the tangents of the moving views change with the variables."""
+        ties, number = self._ties, np.cumsum(~self.held) - 1
+        slots = np.where(self.held, -1, number)
+        onto = _adjoints(ties.body_from_view, ties.views, slots, len(self._free))
+        if ties.lever is not None:
+            onto = np.column_stack([onto, self._lever_column()])
+        return np.asarray(onto[np.repeat(np.repeat(moves, ties.views), 6)])
+
+    def _lever_column(self) -> Floats:
+        """(6 K,) how the tangents of all views change with the length of a metre."""
+        lever, turned = self._ties.lever, self._ties.body_from_view[:, :3, :3]
+        assert lever is not None
+        column = np.zeros((len(turned), 6))
+        column[:, 3:] = np.einsum("kij,ki->kj", turned, lever)
+        return column.ravel()
+
+    def _scale_prior(self) -> Floats:
+        """Information on single variables: keeps the scale of a new map, and what is known."""
+        prior = np.zeros(self._onto.shape[1])
+        if self._ties.lever is None:
+            return prior
+        prior[-1] = self._ties.lever_information
+        if self.held.sum() < 2:
+            distance = np.linalg.norm(self._start[:, :3, 3] - self._start[0, :3, 3], axis=1)
+            farthest = int(np.argmax(np.where(self.held, 0.0, distance)))
+            at = 6 * int(np.searchsorted(self._free, farthest))
+            prior[at + 3 : at + 6] = (_SCALE_SIGMA * max(distance[farthest], 1e-6)) ** -2.0
+        return prior
+
+    def _off(self, state: _State) -> Floats:
+        """What each variable is off its start, where there is a prior on it."""
+        moved = inverse(self._start[self._free]) @ state.bodies[self._free]
+        off = np.zeros((len(self._free), 6))
+        off[:, 3:] = moved[:, :3, 3]
+        metre = [] if self._ties.lever is None else [state.metre]
+        return np.concatenate([off.ravel(), metre])
+
+    def _cost(self, state: _State) -> float:
+        by_prior = 0.5 * float(self._prior @ self._off(state) ** 2)
+        return self.bundle.cost(self.poses(state)) + by_prior
+
+    def _moved(self, state: _State, step: Floats) -> _State:
+        bodies = state.bodies.copy()
+        for n, k in enumerate(self._free.tolist()):
+            bodies[k] = orthonormalised(bodies[k] @ se3_exp(step[6 * n : 6 * n + 6]))
+        return _State(bodies, state.metre + (0.0 if self._ties.lever is None else float(step[-1])))
+
+
+def _adjoints(body_from_view: Floats, views: int, slots: Ints, count: int) -> Floats:
+    """(6 K, 6 count) that takes tangents of bodies, by slot (-1: none), to those of views."""
+    onto = np.zeros((len(body_from_view), 6, count, 6))
+    of_body = adjoint(inverse(body_from_view))
+    for k, slot in enumerate(np.repeat(slots, views).tolist()):
+        if slot >= 0:
+            onto[k, :, slot] = of_body[k]
+    return onto.reshape(6 * len(body_from_view), 6 * count)

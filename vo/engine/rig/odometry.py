@@ -1,0 +1,279 @@
+"""Visual odometry of a rig of any number of cameras, whose images may overlap or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from subprocess import Popen
+
+import cv2
+import numpy as np
+
+from vo.base.config import Config
+from vo.base.failures import Failure, FailureReason
+from vo.base.geometry.transforms import inverse, orthonormalised
+from vo.base.records.calibration_errors import CalibrationErrors
+from vo.base.records.snapshot import Snapshot
+from vo.base.scheduling import available_cores
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Estimate, Frame, PredictedPose, Rig, State
+from vo.engine.backend.optimizer import make_optimizer
+from vo.engine.frontend.frontend import make_frontend
+from vo.engine.frontend.lazy_future import LazyFuture
+from vo.engine.frontend.static_masks import recorded_masks
+from vo.engine.map_alignment import MapAlignment
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.tracked_frame import LastFrame
+from vo.engine.odometry import Odometry
+from vo.engine.rig.frames import RigFrame, RigPreprocessor
+from vo.engine.rig.mapper import RigMapper
+from vo.engine.rig.policy import RigKeyframePolicy
+from vo.engine.rig.tracked import RigTracked
+from vo.engine.rig.tracker import RigTracker
+from vo.engine.rig.views import rig_views
+from vo.engine.rig.window import RigWindow, rig_window_size
+from vo.engine.snapshot import FrameResult, make_estimate, make_snapshot
+from vo.engine.stages import BUILT_IN, Components
+from vo.engine.trajectory.builder import TrajectoryBuilder
+from vo.engine.trajectory.store import TrajectoryStore
+from vo.engine.warmup import warm_up
+
+
+class RigOdometry:
+    """Computes poses from frames of a rig, one `track` a frame; `close` it at the end.
+
+    The same calls as of `vo.engine.odometry.Odometry`; loops, inertial sensors and markers are not
+    used.
+
+    Args:
+        rig: the cameras, as recorded.
+        components: `extractor` and `matcher` may be given.
+        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
+
+    Raises:
+        CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        config: Config,
+        components: Components = BUILT_IN,
+        optimizer_process: Popen[bytes] | None = None,
+    ) -> None:
+        warm_up(Odometry)
+        cv2.setRNGSeed(config.seed)
+        self.stopwatch = Stopwatch()
+        self.networks: tuple[object, ...] = ()
+        self.map_alignment = MapAlignment(None, None)
+        masks = recorded_masks(config.masks, rig)
+        self.hidden = tuple(0.0 if m is None else float(np.mean(m == 0)) for m in masks)
+        self._views = rig_views(rig, masks)
+        count, rectified = len(self._views.views), self._views.rectified
+        frontend = make_frontend(config, components.extractor, components.matcher)
+        threads = config.threads or available_cores()
+        self._preprocessor = RigPreprocessor(self._views, frontend.extractor, threads)
+        size = rig_window_size(config.smoothing, count)
+        capacity = count * (size.free + size.fixed)
+        self._map = LocalMap(rectified, capacity, frontend.extractor.descriptor_format)
+        self._trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=True)
+        self._mapper = RigMapper(self._map, frontend, config.mapping, self.stopwatch, count)
+        tied = self._views.body_from_views
+        self._tracker = RigTracker(self._map, frontend, config.tracking, tied, self.stopwatch)
+        self._optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
+        parts = self._map, self._optimizer, config.smoothing, self.stopwatch
+        self._window = RigWindow(*parts, count, lambda: None)
+        self._policy = RigKeyframePolicy(config, count)
+        self._config = config
+        self._state = State.STARTING
+        self._segment = 0
+        self._lost = 0
+        self._newest: FrameResult | None = None
+        self._frame: RigFrame | None = None
+        self._tracked: RigTracked | None = None
+        self._needs_keyframe = False
+        self._has_moved = False
+
+    def track(self, frame: Frame) -> Estimate:
+        """Process the next frame."""
+        return self._process(self._preprocessor.submit(frame))
+
+    def track_all(self, frames: Iterable[Frame]) -> Iterator[Estimate]:
+        """Process frames, each of them preprocessed while the one before it is tracked."""
+        for pending in self._preprocessor.ahead(frames):
+            yield self._process(pending)
+
+    def locate(self, frame: Frame) -> Estimate:
+        """The pose of the next frame, at once; the rest is left to `update_map`."""
+        self._locate(self._preprocessor.submit(frame))
+        return self._estimate()
+
+    def update_map(self) -> None:
+        """Make the newest frame a keyframe if the map needs one; in any thread, before the next."""
+        if self._needs_keyframe and self._frame is not None and self._tracked is not None:
+            self._needs_keyframe = False
+            keyframe = self._add_keyframe(self._frame, self._tracked)
+            assert self._newest is not None
+            self._newest = self._newest._replace(keyframe=keyframe)
+
+    def predict(self, stamp_ns: int) -> PredictedPose | None:
+        """The pose after the newest tracked frame, None if it is unknown; after `update_map`."""
+        ahead = None if self._tracker.last is None else self._tracker.motion.ahead(stamp_ns)
+        return self._trajectory.predicted(ahead, self._segment, None)
+
+    def finish(self) -> Mapping[str, float]:
+        """Apply the last result of the optimizer; the time by stage that it took."""
+        self.update_map()
+        self._apply()
+        return self.stopwatch.take()
+
+    def close(self) -> None:
+        """End threads and processes."""
+        self._optimizer.close()
+        self._preprocessor.close()
+
+    @property
+    def trajectory(self) -> TrajectoryStore:
+        """The path so far."""
+        return self._trajectory.store
+
+    @property
+    def calibration_errors(self) -> CalibrationErrors:
+        """Errors of the calibration that were found and are corrected."""
+        return CalibrationErrors()
+
+    def snapshot(self) -> Snapshot:
+        """The newest frame in view 0, and the local map, before the next frame is tracked."""
+        if self._newest is None:
+            raise RuntimeError("no frame has been tracked yet")
+        shown = make_snapshot(self._newest, self._map, None, has_moved=self._has_moved)
+        if shown.landmarks is None:
+            return shown
+        of_view = shown.landmarks.sightings[:: len(self._views.views)]
+        return replace(shown, landmarks=replace(shown.landmarks, sightings=of_view))
+
+    def _process(self, pending: LazyFuture[RigFrame]) -> Estimate:
+        self._locate(pending)
+        self.update_map()
+        return self._estimate()
+
+    def _locate(self, pending: LazyFuture[RigFrame]) -> None:
+        """Track a frame in the map, or start a map with it."""
+        frame = self._preprocess(pending)
+        self.update_map()
+        self._trajectory.reach(frame.views[0])
+        if self._window.next_frame():
+            self._apply()
+        if self._state is not State.STARTING and self._lost > self._config.tracking.recover_frames:
+            self._give_up()
+        before = None
+        if self._tracker.last is not None:
+            last = self._tracker.last
+            seen = last.tracked.views[0]
+            before = LastFrame(last.frame.views[0], seen.ids, seen.observed.image_xy, seen.inlier)
+        failure: Failure | None = None
+        if self._state is State.STARTING:
+            tracked, keyframe, failure = self._start(frame)
+        else:
+            keyframe = None
+            tracked = self._tracker.track(frame, is_lost=self._state is State.LOST)
+            failure = Failure(FailureReason.FEW_INLIERS) if tracked is None else None
+            self._take_in(frame, tracked)
+        self._frame, self._tracked = frame, tracked
+        self._newest = FrameResult(
+            frame.views[0],
+            None if tracked is None else tracked.views[0],
+            self._needs_keyframe or keyframe is not None,
+            before,
+            failure,
+            frame.faults,
+            keyframe,
+        )
+        self._preprocessor.is_eager = self._state is not State.TRACKING
+
+    @timed("features")
+    def _preprocess(self, pending: LazyFuture[RigFrame]) -> RigFrame:
+        return pending.result()
+
+    def _take_in(self, frame: RigFrame, tracked: RigTracked | None) -> None:
+        """Continue from a frame, or count it as lost."""
+        if tracked is None:
+            self._state, self._lost = State.LOST, self._lost + 1
+            return
+        self._state, self._lost = State.TRACKING, 0
+        self._tracker.update(frame, tracked)
+        last = self._mapper.newest
+        self._needs_keyframe = self._policy.needs_keyframe(self._map, last, frame, tracked)
+        if not self._needs_keyframe:
+            self._trajectory.add_frame(frame.views[0], last[0], tracked.world_from_body)
+
+    def _add_keyframe(self, frame: RigFrame, tracked: RigTracked) -> Keyframe:
+        frame.start_features()
+        keyframe = self._mapper.add_instant(frame, tracked, self._segment)
+        self._trajectory.add_keyframe(keyframe)
+        self._apply()
+        self._window.submit()
+        self._mapper.extend(frame)
+        return keyframe
+
+    def _give_up(self) -> None:
+        """Start a new segment."""
+        self._apply()
+        self._map.clear()
+        self._tracker.last = None
+        self._state, self._lost = State.STARTING, 0
+        self._segment += 1
+
+    @timed("start")
+    def _start(self, frame: RigFrame) -> tuple[RigTracked | None, Keyframe | None, Failure | None]:
+        """A map from the views of one frame that overlap."""
+        self._map.clear()
+        tied, pose = self._tracker.body_from_views, self._tracker.motion.last
+        keyframe = self._mapper.add_first_instant(frame, pose, tied, self._segment)
+        self._mapper.extend(frame)
+        needed = self._config.start.min_points
+        if len(self._map) < needed:
+            found = len(self._map)
+            self._map.clear()
+            return None, None, Failure(FailureReason.FEW_LANDMARKS, found, needed)
+        tracked = self._mapper.as_tracked(tied)
+        self._state = State.TRACKING
+        self._tracker.restart(frame, tracked)
+        self._trajectory.add_keyframe(keyframe)
+        return tracked, keyframe, None
+
+    def _apply(self) -> None:
+        """Apply the pending window, and move the tracker with its newest keyframe."""
+        update = self._window.apply()
+        if update is None:
+            return
+        self._trajectory.update(update.moved)
+        self._mapper.cull()
+        self._mapper.estimate_normals()
+        count = len(self._views.views)
+        before = update.window.problem.world_from_cam[-count]
+        now = update.window.keyframes[-count].world_from_cam
+        self._tracker.motion.move(orthonormalised(now @ inverse(before)))
+
+    def _estimate(self) -> Estimate:
+        """The newest frame's result."""
+        result, path, tracked = self._newest, self._trajectory, self._tracked
+        assert result is not None
+        moved = path.take_moved()
+        self._has_moved = bool(moved)
+        pose = None if tracked is None else tracked.world_from_body
+        estimate = make_estimate(result, self._state, self._segment)
+        seen = () if tracked is None else tracked.views
+        matches = sum(len(view.observed) for view in seen)
+        return replace(
+            estimate,
+            world_from_cam0=None if pose is None else path.world_from_cam0(pose),
+            faults=result.every_fault,
+            features=max(matches, estimate.features),
+            matches=matches,
+            inliers=sum(view.inliers for view in seen),
+            keyframes=moved,
+            landmark_ids=self._map.id.copy() if moved else None,
+            stage_ms=self.stopwatch.take(),
+        )

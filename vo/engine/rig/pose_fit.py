@@ -1,0 +1,95 @@
+"""Pose of a rig from landmarks in several views: the generalised camera.
+
+Source: Pless, "Using many cameras as one", CVPR 2003; the robust weights are those of
+`vo.engine.geometry.pnp`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from vo.base.geometry.projection import MIN_DEPTH, Intrinsics
+from vo.base.geometry.transforms import orthonormalised, se3_exp
+from vo.base.types import Bools, Floats, Ints
+
+_HUBER = 2.0  # residual, in standard deviations, from which a match is weighted down
+_ITERATIONS, _CONVERGED = 12, 1e-6  # the latter a squared Mahalanobis length
+
+
+class RigObservations(NamedTuple):
+    """N observations of points by views; rows belong together.
+
+    Attributes:
+        points: (N, 3) in the world.
+        xy: (N, 2) pixels.
+        sigma_px: (N,).
+        view: (N,) row of the view.
+    """
+
+    points: Floats
+    xy: Floats
+    sigma_px: Floats
+    view: Ints
+
+
+class RigFit(NamedTuple):
+    """body_from_world (4, 4), and which observations (N,) agree with it."""
+
+    body_from_world: Floats
+    inlier: Bools
+
+
+def fit_rig(
+    body_from_world: Floats,
+    observed: RigObservations,
+    view_from_body: Floats,
+    intrinsics: Intrinsics,
+    gate: float,
+) -> RigFit:
+    """Minimise Huber-weighted reprojection errors over the pose of the body.
+
+    First with all observations, then, after convergence or half of the iterations, without
+    outliers.
+
+    Args:
+        body_from_world: (4, 4) first guess.
+        observed: the observations.
+        view_from_body: (V, 4, 4).
+        intrinsics: of all views.
+        gate: residual, in standard deviations, from which an observation is an outlier.
+    """
+    rotation, shift = view_from_body[observed.view, :3, :3], view_from_body[observed.view, :3, 3]
+    focal, centre = np.array(intrinsics[:2]), np.array(intrinsics[2:])
+    limit, pose = np.inf, body_from_world
+    for step in range(_ITERATIONS + 1):
+        in_body = observed.points @ pose[:3, :3].T + pose[:3, 3]
+        p = np.einsum("nij,nj->ni", rotation, in_body) + shift
+        z = np.where(p[:, 2] > MIN_DEPTH, p[:, 2], np.nan)
+        error = (p[:, :2] / z[:, None] * focal + centre - observed.xy) / observed.sigma_px[:, None]
+        residual = np.nan_to_num(np.hypot(error[:, 0], error[:, 1]), nan=np.inf)
+        if step == _ITERATIONS:
+            break
+        weight = np.sqrt(_HUBER / np.maximum(residual, _HUBER))
+        weight[~((residual < limit) & np.isfinite(residual))] = 0.0
+        scaled = (weight / observed.sigma_px / np.nan_to_num(z, nan=1.0))[:, None] * focal
+        ratio = np.nan_to_num(p[:, :2] / z[:, None])
+        # Rows of d(u, v) / d p in the view, turned to the body; a step moves p by r x p + t.
+        by_point = scaled[:, :, None] * (rotation[:, :2] - ratio[:, :, None] * rotation[:, 2:])
+        by_turn = np.cross(in_body[:, None], by_point)
+        jacobian = np.concatenate([by_turn, by_point], axis=2).reshape(-1, 6)
+        weighted = (weight[:, None] * np.nan_to_num(error)).ravel()
+        normal = jacobian.T @ jacobian
+        normal[np.diag_indices(6)] += 1e-9 + 1e-9 * np.diag(normal)
+        try:
+            change = -np.linalg.solve(normal, jacobian.T @ weighted)
+        except np.linalg.LinAlgError:
+            break
+        is_settled = float(change @ normal @ change) < _CONVERGED
+        if is_settled and limit == gate:
+            break
+        if is_settled or step == _ITERATIONS // 2:
+            limit = gate
+        pose = np.asarray(se3_exp(np.asarray(change)) @ pose)
+    return RigFit(orthonormalised(pose), residual < gate)

@@ -1,0 +1,54 @@
+"""What tracking finds in the views of a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vo.base.types import Floats
+from vo.engine.mapping.tracked_frame import Observations, TrackedFrame
+from vo.engine.rig.frames import RigFrame
+
+
+@dataclass(frozen=True, eq=False)
+class RigTracked:
+    """A frame with the pose of the body, and with each view as a tracked frame.
+
+    Attributes:
+        world_from_body: (4, 4).
+        body_from_views: (V, 4, 4) at the times of the images.
+        views: of all views, without observations where one is not used.
+    """
+
+    world_from_body: Floats
+    body_from_views: Floats
+    views: tuple[TrackedFrame, ...]
+
+    @property
+    def inliers(self) -> int:
+        """Number of observations that agree with the pose."""
+        return sum(view.inliers for view in self.views)
+
+    @property
+    def in_view(self) -> int:
+        """Number of landmarks that should be in the views, each counted in all of them."""
+        return sum(view.in_view for view in self.views)
+
+    def world_from_view(self, view: int) -> Floats:
+        """(4, 4) pose of a view."""
+        return np.asarray(self.world_from_body @ self.body_from_views[view])
+
+
+@dataclass(frozen=True, eq=False)
+class LastRigFrame:
+    """The last tracked frame."""
+
+    frame: RigFrame
+    tracked: RigTracked
+
+
+def unobserved() -> Observations:
+    """Observations of nothing."""
+    pixels, none = np.empty((0, 2)), np.empty(0)
+    return Observations(np.empty(0, np.int64), pixels, pixels, none, none, none, none, pixels)

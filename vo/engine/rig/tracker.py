@@ -1,0 +1,186 @@
+"""Tracking of a rig: one pose from the landmarks in all views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from vo.base.config import TrackingConfig
+from vo.base.geometry.transforms import inverse, se3_exp, se3_log
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Floats
+from vo.engine.frontend.contracts import FeatureSet, feature_set
+from vo.engine.frontend.frontend import Frontend
+from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
+from vo.engine.rig.frames import RigFrame
+from vo.engine.rig.pose_fit import RigObservations, fit_rig
+from vo.engine.rig.tracked import LastRigFrame, RigTracked, unobserved
+from vo.engine.tracking.landmark_alignment import LandmarkAligner
+from vo.engine.tracking.motion_model import ConstantVelocity
+from vo.engine.tracking.pose_estimation import PoseEstimator
+from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.engine.tracking.visibility import Visible, outside, visible_landmarks
+
+_MIN_SPARSE_RATIO = 0.5  # of the last frame's inliers, that confirms a pose at once
+_ALIGNED_VIEWS = 2  # views with the most landmarks that are tried by sparse image alignment
+_LANDMARKS = 1000  # aligned in all views together, at least in each the second number
+_MIN_LANDMARKS = 150
+
+
+class RigTracker:
+    """Tracks frames in the local map; holds the motion model and the last frame.
+
+    Attributes:
+        body_from_views: (V, 4, 4) in units of the map.
+        last: the last tracked frame, None before the first of a segment.
+    """
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        frontend: Frontend,
+        config: TrackingConfig,
+        body_from_views: Floats,
+        stopwatch: Stopwatch,
+    ) -> None:
+        self.body_from_views = body_from_views
+        self.last: LastRigFrame | None = None
+        self.motion = ConstantVelocity()
+        self.stopwatch = stopwatch
+        self._map = local_map
+        self._config = config
+        self._matcher = frontend.matcher
+        self._scale_factor = frontend.scale_factor
+        self._aligner = LandmarkAligner(local_map, frontend, config.min_inliers)
+        self._estimator = PoseEstimator(local_map, 1.0, config)
+        views = len(body_from_views)
+        self._most = max(_MIN_LANDMARKS, min(config.max_landmarks, _LANDMARKS) // views)
+
+    def restart(self, frame: RigFrame, tracked: RigTracked) -> None:
+        """Begin at a frame that a new map was made of, with unknown velocity."""
+        self.motion.restart(frame.stamp_ns, tracked.world_from_body)
+        self.last = LastRigFrame(frame, tracked)
+
+    def update(self, frame: RigFrame, tracked: RigTracked) -> None:
+        """Continue from a tracked frame."""
+        self.motion.update(frame.stamp_ns, tracked.world_from_body)
+        self.last = LastRigFrame(frame, tracked)
+
+    def tied(self, frame: RigFrame, world_from_body: Floats) -> Floats:
+        """(V, 4, 4) body_from_view at the times of a frame's images, for a pose of the body."""
+        if not any(frame.delay_s) or self.last is None:
+            return self.body_from_views
+        elapsed_s = 1e-9 * (frame.stamp_ns - self.last.frame.stamp_ns)
+        if elapsed_s <= 0.0:
+            return self.body_from_views
+        twist = se3_log(inverse(self.motion.last) @ world_from_body) / elapsed_s
+        moved = np.stack([se3_exp(delay * twist) for delay in frame.delay_s])
+        return np.asarray(moved @ self.body_from_views)
+
+    @timed("match")
+    def track(self, frame: RigFrame, *, is_lost: bool) -> RigTracked | None:
+        """The pose of a frame; None if too few landmarks agree on one."""
+        best: RigTracked | None = None
+        enough = 0.0
+        if self.last is not None and not is_lost:
+            enough = _MIN_SPARSE_RATIO * self.last.tracked.inliers
+        for pose in self._initial_poses(frame, is_lost=is_lost):
+            tracked = self.refine(frame, pose)
+            if tracked is not None and (best is None or tracked.inliers > best.inliers):
+                best = tracked
+            if best is not None and best.inliers >= enough:
+                return best
+        return best
+
+    def _initial_poses(self, frame: RigFrame, *, is_lost: bool) -> Iterator[Floats]:
+        """Poses of the body to refine, the most accurate and cheapest first."""
+        predicted = self.motion.predict(frame.stamp_ns)
+        if not is_lost:
+            yield from self._by_alignment(frame, predicted)
+        yield predicted
+        if is_lost:
+            yield self.motion.last
+        for view, is_used in enumerate(frame.used):
+            if is_used:
+                pose = self._relocalize(frame, view)
+                if pose is not None:
+                    yield pose
+
+    def _by_alignment(self, frame: RigFrame, predicted: Floats) -> Iterator[Floats]:
+        """By sparse image alignment in the views that had the most landmarks."""
+        if self.last is None:
+            return
+        last, tied = self.last, self.tied(frame, predicted)
+        counts = [v.inliers * used for v, used in zip(last.tracked.views, frame.used, strict=True)]
+        for view in np.argsort(counts)[::-1][:_ALIGNED_VIEWS].tolist():
+            seen, image = last.tracked.views[view], frame.views[view]
+            before = LastFrame(
+                last.frame.views[view], seen.ids, seen.observed.image_xy, seen.inlier
+            )
+            # The body of the last frame may have moved with the map since.
+            pose = self.motion.last @ last.tracked.body_from_views[view]
+            motion = sparse_image_alignment(self._map, before, pose, image, predicted @ tied[view])
+            if motion is not None:
+                yield np.asarray(pose @ motion @ inverse(tied[view]))
+
+    def _relocalize(self, frame: RigFrame, view: int) -> Floats | None:
+        """By the descriptors of one view, wherever in the map."""
+        local_map, image = self._map, frame.views[view]
+        query = FeatureSet(None, local_map.octave, local_map.angle, local_map.descriptor)
+        matches = self._matcher.match(query, feature_set(image.keypoints))
+        keypoints = image.keypoints.select(matches.train)
+        sigma_px = self._scale_factor ** keypoints.octave.astype(np.float64)
+        xy = keypoints.xy.astype(np.float64)
+        pose = self._estimator.from_matches(matches.query, xy, sigma_px)
+        return None if pose is None else np.asarray(pose @ inverse(self.body_from_views[view]))
+
+    @timed("align")
+    def refine(self, frame: RigFrame, world_from_body: Floats) -> RigTracked | None:
+        """Align the landmarks in all views, starting at a pose (4, 4), and fit the pose to them."""
+        tied = self.tied(frame, world_from_body)
+        visible = [self._visible(frame, v, world_from_body @ tied[v]) for v in range(len(tied))]
+        observed = []
+        for v, seen in enumerate(visible):
+            self._aligner.world_from_image = (world_from_body @ tied[v])[:3, :3]
+            found = None if seen is None else self._aligner.align(seen, frame.views[v], None)
+            observed.append(unobserved() if found is None else found)
+        numbers = np.repeat(np.arange(len(observed)), [len(each) for each in observed])
+        stacked = RigObservations(
+            self._map.xyz[np.concatenate([each.rows for each in observed])],
+            np.concatenate([each.xy for each in observed]),
+            np.concatenate([each.sigma_px for each in observed]),
+            numbers,
+        )
+        in_view = [0 if seen is None else len(seen.rows) for seen in visible]
+        pose = inverse(world_from_body)
+        for _ in range(2 if any(frame.delay_s) else 1):  # the second time with its velocity
+            fit = fit_rig(pose, stacked, inverse(tied), self._map.rig.intrinsics, self._config.gate)
+            pose = fit.body_from_world
+            tied = self.tied(frame, inverse(pose))
+        for v, seen in enumerate(visible):
+            if seen is not None:
+                self._map.visible[seen.rows] += 1
+                self._map.found[observed[v].rows[fit.inlier[numbers == v]]] += 1
+        if int(fit.inlier.sum()) < self._min_inliers(sum(in_view)):
+            return None
+        body = inverse(pose)
+        views = tuple(
+            TrackedFrame(
+                body @ tied[v], self._map.id[o.rows], o, fit.inlier[numbers == v], in_view[v]
+            )
+            for v, o in enumerate(observed)
+        )
+        return RigTracked(body, tied, views)
+
+    def _visible(self, frame: RigFrame, view: int, world_from_view: Floats) -> Visible | None:
+        if not frame.used[view]:
+            return None
+        seen = visible_landmarks(self._map, world_from_view, self._most)
+        return outside(frame.views[view].masks[0], seen)
+
+    def _min_inliers(self, visible: int) -> float:
+        usual = self._config.min_inliers
+        fewest = min(usual, max(usual, visible) / 2)
+        return max(fewest, self._config.min_inlier_ratio * visible)

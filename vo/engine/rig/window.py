@@ -1,0 +1,94 @@
+"""The sliding window of a rig: keyframes are instants, each of one keyframe for every view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from vo.base.config import SmoothingConfig, WindowSize
+from vo.base.geometry.transforms import inverse, orthonormalised
+from vo.base.stopwatch import Stopwatch, timed
+from vo.base.types import Floats
+from vo.engine.backend.covariance import update_covariances
+from vo.engine.backend.optimizer import WindowOptimizer
+from vo.engine.backend.sliding_window import SlidingWindow, Window
+from vo.engine.backend.solution import WindowSolution
+from vo.engine.backend.window_problem import Ties
+from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.local_map import LocalMap
+
+_FREE, _FIXED = 6, 6  # instants
+_LANDMARKS = 400  # for each view
+
+
+def rig_window_size(config: SmoothingConfig, views: int) -> WindowSize:
+    """Instants that are optimised, fixed ones, and landmarks."""
+    given = config.window, config.fixed, config.max_landmarks
+    usual = _FREE, _FIXED, _LANDMARKS * views
+    return WindowSize(*(u if g is None else g for g, u in zip(given, usual, strict=True)))
+
+
+class RigWindow(SlidingWindow):
+    """Submits windows whose views are tied to the body.
+
+    Attributes:
+        metre: change of the length of a metre in the map by the newest result, and the information
+            on that length.
+    """
+
+    def __init__(
+        self,
+        local_map: LocalMap,
+        optimizer: WindowOptimizer,
+        config: SmoothingConfig,
+        stopwatch: Stopwatch,
+        views: int,
+        lever: Callable[[], tuple[Floats, float] | None],
+    ) -> None:
+        super().__init__(local_map, optimizer, 1.0, config, stopwatch)
+        self._size = rig_window_size(config, views)
+        self._latency = 2
+        self._views = views
+        self._lever = lever
+        self.metre = 0.0, 0.0
+
+    @timed("window")
+    def submit(self, *, calibration_weight: int = 0) -> None:
+        """Submit the newest instants; the result before must have been applied."""
+        instants = len(self._map.keyframes) // self._views
+        self._submit(min(self._size.free, instants - 1) * self._views, 0)
+
+    def _window(self, free: int, calibration_weight: int) -> Window | None:
+        if len(self._map.keyframes) < 2 * self._views:
+            return None
+        window = super()._window(free, calibration_weight)
+        assert window is not None
+        poses, views = window.problem.world_from_cam, self._views
+        tied = inverse(np.repeat(poses[::views], views, axis=0)) @ poses
+        lever = self._lever()
+        count = len(poses) // views
+        ties = Ties(tied, views)
+        if lever is not None:
+            ties = Ties(tied, views, np.tile(lever[0], (count, 1)), lever[1])
+        return replace(window, problem=replace(window.problem, ties=ties))
+
+    def _move_keyframes(self, window: Window, solution: WindowSolution) -> list[Keyframe]:
+        """Move all views that the window has, and newer ones with them."""
+        views, newest = self._views, window.keyframes[-self._views]
+        before = newest.world_from_cam
+        for keyframe, pose in zip(window.keyframes, solution.world_from_cam, strict=True):
+            keyframe.world_from_cam = pose
+        motion = orthonormalised(newest.world_from_cam @ inverse(before))
+        later = [k for k in self._map.keyframes if k.id > window.keyframes[-1].id]
+        for keyframe in later:
+            keyframe.world_from_cam = orthonormalised(motion @ keyframe.world_from_cam)
+        update_covariances(window.keyframes[::views], solution)
+        self.metre = solution.metre
+        free = [
+            k
+            for k, is_held in zip(window.keyframes[::views], solution.held, strict=True)
+            if not is_held
+        ]
+        return free + later[::views]
