@@ -22,8 +22,8 @@ def double(x: int) -> int:
     """Twice."""
     return 2 * x  # behind code
 '''
-# It shrinks only. The goal is 25,000.
-MAX_ENGINE_LINES = 31_900
+# It shrinks only, but for rigs (2,000). The goal is 25,000.
+MAX_ENGINE_LINES = 33_900
 MAX_WORDS = 46_000  # of the pages for users
 
 

@@ -68,6 +68,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"recovery"},
         {"stages"},
         {"odometry"},
+        {"rig"},
     ),
     "vo.recordings": ({"formats"}, {"sources"}),
     "vo.outputs": ({"evaluation", "recorders", "results", "streaming"}, {"report"}),

@@ -22,11 +22,11 @@ from vo.base.records.calibration_errors import CalibrationErrors
 from vo.base.records.inertial_use import InertialUse
 from vo.base.records.snapshot import Snapshot
 from vo.base.types import Estimate, KeyframePose, Mode, PredictedPose, Rig, Trajectory
-from vo.engine.odometry import Odometry as FrameOdometry
+from vo.engine.rig.creation import make_odometry
 from vo.engine.stages import BUILT_IN, Components
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.outputs.results.run_statistics import RunStatistics
-from vo.outputs.results.summary import RunFacts, Summary
+from vo.outputs.results.summary import RunFacts, Summary, mode_of
 from vo.recordings.formats.calibration import Calibration
 from vo.recordings.sources.imu import usable_noise
 from vo.runs.inertial_checks import contradiction_faults
@@ -90,7 +90,7 @@ class Odometry:
         _check_maps(self._config, self._save_map, calibration)
         self._input = FrameInput(self.rig, colour)
         prepare()
-        self._odometry = FrameOdometry(self.rig, self._config, components)
+        self._odometry = make_odometry(self.rig, self._config, components)
         if self._save_map is not None:
             try:
                 self._odometry.map_alignment.check_savable(self._save_map)
@@ -283,7 +283,7 @@ class Odometry:
         return RunFacts(
             source=_SOURCE,
             format="library",
-            mode="rgbd" if self.rig.has_depth else "stereo" if self.rig.is_stereo else "mono",
+            mode=mode_of(self.rig),
             has_ground_truth=False,
             seed=self._config.seed,
             start=0,

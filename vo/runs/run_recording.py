@@ -20,13 +20,11 @@ from vo.base.errors import (
     VoError,
 )
 from vo.base.extras import require
-from vo.base.geometry.rectification import rectified_rig
 from vo.base.images.image_areas import split_cameras
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.base.scheduling import one_opencv_thread
-from vo.base.types import Mode, Rig
-from vo.engine.odometry import Odometry
+from vo.engine.rig.creation import make_odometry
 from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
@@ -149,7 +147,9 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     if not (is_live or is_metric) and components.inertial_sensor is None:
         decided = _with_rescue(decided, components)
     process = options.optimizer_process
-    with closing(Odometry(rig, decided, components, process)) as odometry:
+    if options.save_map is not None and rig.further:
+        raise ConfigError("`save_map` is for one or two cameras; use `mode=stereo` or `mode=mono`")
+    with closing(make_odometry(rig, decided, components, process)) as odometry:
         if options.save_map is not None:
             odometry.map_alignment.check_savable(options.save_map)
         if every > 1 and isinstance(stream, Recording):
@@ -284,31 +284,16 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     for option in ("timeout_s", "duration_s", "record"):
         if getattr(options, option) is not None:
             raise SourceError(f"`{option}` is for live sources, and {source} is a recording")
-    given: dict[str, Any] = {
-        "format": options.format,
-        "calibration": options.calibration,
-        "topics": options.topics,
-        "follow": options.follow,
-        "right_offset_ns": options.right_offset_ns,
-        "side_by_side": options.side_by_side,
-    }
-    found = open_source(source, mode=options.mode, **given)
-    if not found.rig.further:
-        return found
-    # The odometry takes at most two cameras.
-    mode: Mode = "stereo" if _is_pair(found.rig) else "mono"
-    used = "cam0 and cam1" if mode == "stereo" else "cam0"
-    _log.warning("%s: only %s of %d cameras", found.name, used, len(found.rig.cameras))
-    return open_source(source, mode=mode, **given)
-
-
-def _is_pair(rig: Rig) -> bool:
-    """Whether the first two cameras see enough in common."""
-    try:
-        rectified_rig(rig.first(2))
-    except CalibrationError:
-        return False
-    return True
+    return open_source(
+        source,
+        format=options.format,
+        calibration=options.calibration,
+        mode=options.mode,
+        topics=options.topics,
+        follow=options.follow,
+        right_offset_ns=options.right_offset_ns,
+        side_by_side=options.side_by_side,
+    )
 
 
 def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> FrameStream:

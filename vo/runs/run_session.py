@@ -17,12 +17,12 @@ from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Estimate, Frame, Trajectory
-from vo.engine.odometry import Odometry
+from vo.engine.rig.creation import AnyOdometry
 from vo.outputs.recorders.recorder import LoopClosures, Recorder
 from vo.outputs.results.folder import RunFolder
 from vo.outputs.results.live_summary import LiveState
 from vo.outputs.results.run_statistics import Profile, RunStatistics, make_profile
-from vo.outputs.results.summary import RunFacts, Status, Summary
+from vo.outputs.results.summary import RunFacts, Status, Summary, mode_of
 from vo.outputs.results.tables import covariance_line, frame_line, pose_lines
 from vo.outputs.streaming.streams import PoseStreams
 from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
@@ -79,7 +79,7 @@ class OpenedRun:
         return RunFacts(
             source=self.public_name,
             format=stream.format,
-            mode="rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono",
+            mode=mode_of(rig),
             has_ground_truth=stream.ground_truth is not None,
             seed=self.config.seed,
             start=options.start,
@@ -109,7 +109,7 @@ class RunSession:
     def __init__(
         self,
         opened: OpenedRun,
-        odometry: Odometry,
+        odometry: AnyOdometry,
         folder: RunFolder,
         recorder: Recorder,
         poses: PoseStreams,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from vo.engine.odometry import Odometry
+from vo.engine.rig.creation import AnyOdometry
 from vo.outputs.results.run_statistics import RunStatistics
 from vo.outputs.results.summary import RunFacts, Status, Summary, summarise
 
 
 def summarise_odometry(
-    odometry: Odometry, facts: RunFacts, status: Status, statistics: RunStatistics, **found: Any
+    odometry: AnyOdometry, facts: RunFacts, status: Status, statistics: RunStatistics, **found: Any
 ) -> Summary:
     """Summary of a run so far; `found` are its fields that the odometry does not know."""
     path, map_alignment = odometry.trajectory, odometry.map_alignment

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from subprocess import Popen
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,7 +66,7 @@ class RigOdometry:
         warm_up(Odometry)
         cv2.setRNGSeed(config.seed)
         self.stopwatch = Stopwatch()
-        self.networks: tuple[object, ...] = ()
+        self.networks: list[Any] = []
         self.map_alignment = MapAlignment(None, None)
         masks = recorded_masks(config.masks, rig)
         self.hidden = tuple(0.0 if m is None else float(np.mean(m == 0)) for m in masks)
@@ -141,7 +142,7 @@ class RigOdometry:
     @property
     def calibration_errors(self) -> CalibrationErrors:
         """Errors of the calibration that were found and are corrected."""
-        return CalibrationErrors()
+        return CalibrationErrors(0.0, 0.0, None, None)
 
     def snapshot(self) -> Snapshot:
         """The newest frame in view 0, and the local map, before the next frame is tracked."""

@@ -23,7 +23,7 @@ from vo.base.records.metric_scale import (
     has_all_scales,
 )
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Ints, Skipped, State
+from vo.base.types import Ints, Rig, Skipped, State
 from vo.outputs.results.environment import peak_rss_mb, versions
 from vo.outputs.results.live_summary import LiveState, delay_of
 from vo.outputs.results.run_statistics import (
@@ -66,6 +66,16 @@ _OPTIONAL = (
 LEFT_OUT = ("opening_warnings", "notes", "main_failure", "defect", "is_contradiction")
 
 
+RunMode = Literal["mono", "stereo", "rgbd", "rig"]
+
+
+def mode_of(rig: Rig) -> RunMode:
+    """Which kind of cameras a run has."""
+    if rig.further:
+        return "rig"
+    return "rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono"
+
+
 @dataclass(frozen=True)
 class RunFacts:
     """Properties of a run that are known before its first frame.
@@ -76,7 +86,7 @@ class RunFacts:
 
     source: str
     format: str
-    mode: Literal["mono", "stereo", "rgbd"]
+    mode: RunMode
     has_ground_truth: bool
     seed: int
     start: int

@@ -1,0 +1,82 @@
+"""The path by four cameras, and by those that are left of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig_walks import Walk, ate, edited, track
+
+from vo.base.faults import FaultKind
+from vo.base.types import Frame, Rig
+
+
+def test_four_cameras_give_the_metric_path(walk: Walk) -> None:
+    estimates, path = track(walk.rig, walk.frames)
+    assert all(estimate.state.has_pose for estimate in estimates)
+    assert len(path) == len(walk.frames)
+    assert ate(path, walk.truth) < 0.002  # of 3.4 m; a pair of the cameras gives 0.0015
+    assert np.median([estimate.inliers for estimate in estimates]) > 500
+    keyframes = [pose for estimate in estimates for pose in estimate.keyframes]
+    newest = {pose.frame_index: pose for pose in keyframes}
+    assert all(pose.covariance is not None for pose in newest.values() if pose.frame_index < 30)
+
+
+def test_threads_make_no_difference(walk: Walk) -> None:
+    first, second = (track(walk.rig, walk.frames[:12], [f"threads={count}"])[1] for count in (1, 3))
+    assert np.array_equal(first.world_from_cam, second.world_from_cam)
+
+
+@pytest.mark.parametrize("camera", [0, 2])
+def test_a_covered_camera_is_left_out_and_named(walk: Walk, camera: int) -> None:
+    def cover(frame: Frame) -> Frame:
+        images = list(frame.images)
+        if 10 <= frame.index < 25:
+            images[camera] = np.full_like(frame.image0, 7)
+        return replace(frame, images=tuple(images))
+
+    estimates, path = track(walk.rig, edited(walk.frames, cover))
+    assert len(path) == len(walk.frames)
+    assert ate(path, walk.truth) < 0.003
+    kinds = [{fault.kind for fault in estimate.faults} for estimate in estimates]
+    told = [FaultKind.CAMERA_LEFT_OUT in each for each in kinds]
+    assert told == [10 <= index < 25 for index in range(len(walk.frames))]
+
+
+def test_a_frozen_camera_is_left_out(walk: Walk) -> None:
+    def freeze(frame: Frame) -> Frame:
+        if frame.index < 10:
+            return frame
+        return replace(frame, images=(*frame.images[:3], walk.frames[10].images[3]))
+
+    estimates, path = track(walk.rig, edited(walk.frames, freeze))
+    assert len(path) == len(walk.frames)
+    assert ate(path, walk.truth) < 0.003
+    assert FaultKind.CAMERA_LEFT_OUT in {f.kind for f in estimates[20].faults}
+
+
+def test_missing_images_do_not_stop_it(walk: Walk) -> None:
+    def drop(frame: Frame) -> Frame:
+        images = (
+            None if number == frame.index % 4 else image
+            for number, image in enumerate(frame.images)
+        )
+        return replace(frame, images=tuple(images))
+
+    _, path = track(walk.rig, edited(walk.frames, drop))
+    assert len(path) == len(walk.frames)
+    assert ate(path, walk.truth) < 0.004
+
+
+def test_all_black_frames_are_lost_and_found_again(walk: Walk) -> None:
+    def black(frame: Frame) -> Frame:
+        if not 15 <= frame.index < 18:
+            return frame
+        return replace(frame, images=tuple(np.zeros_like(frame.image0) for _ in frame.images))
+
+    estimates, path = track(walk.rig, edited(walk.frames, black))
+    assert [e.frame_index for e in estimates if not e.state.has_pose] == [15, 16, 17]
+    assert {e.segment for e in estimates} == {0}
+    assert ate(path, walk.truth) < 0.003
+    assert isinstance(walk.rig, Rig)

@@ -1,0 +1,45 @@
+"""The odometry for the cameras that there are: a single one or a pair, or a rig."""
+
+from __future__ import annotations
+
+import logging
+from subprocess import Popen
+from typing import TYPE_CHECKING, TypeAlias
+
+from vo.base.config import Config
+from vo.base.errors import ConfigError
+from vo.base.types import Rig
+from vo.engine.odometry import Odometry
+from vo.engine.stages import BUILT_IN, Components
+
+if TYPE_CHECKING:  # only rigs need it
+    from vo.engine.rig.odometry import RigOdometry
+
+AnyOdometry: TypeAlias = "Odometry | RigOdometry"
+_log = logging.getLogger(__name__)
+
+
+def make_odometry(
+    rig: Rig,
+    config: Config,
+    components: Components = BUILT_IN,
+    optimizer_process: Popen[bytes] | None = None,
+) -> AnyOdometry:
+    """The odometry for a rig.
+
+    Raises:
+        CalibrationError: the cameras cannot be rectified.
+        ConfigError: a mask or a map cannot be used.
+    """
+    if not rig.further:
+        return Odometry(rig, config, components, optimizer_process)
+    if config.memory.map:
+        raise ConfigError(
+            f"`memory.map` is for one or two cameras, not for {len(rig.cameras)}; use "
+            "`mode=stereo` or `mode=mono`"
+        )
+    if components.inertial_sensor is not None:
+        _log.info("the inertial sensor is not used with %d cameras", len(rig.cameras))
+    from vo.engine.rig.odometry import RigOdometry
+
+    return RigOdometry(rig, config, components, optimizer_process)
