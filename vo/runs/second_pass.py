@@ -12,7 +12,7 @@ from vo.base.config import Config, MasksConfig
 from vo.base.faults import FaultKind
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Estimate, Frame
-from vo.engine.odometry import Odometry
+from vo.engine.rig.creation import AnyOdometry
 from vo.recordings.sources.source import FrameStream, Recording
 from vo.runs.run_options import RunOptions
 
@@ -90,7 +90,7 @@ def check_sensor(use: InertialUse | None, known: Known) -> None:
 
 
 def watched(
-    odometry: Odometry, frames: Iterator[Frame], stream: FrameStream, known: Known
+    odometry: AnyOdometry, frames: Iterator[Frame], stream: FrameStream, known: Known
 ) -> Iterator[Estimate]:
     """Track all frames, unless they have to be tracked again: raises TrackAgain."""
     can_exchange = known.can_exchange and not known.is_exchanged
@@ -111,7 +111,7 @@ def exchanged(frames: Iterator[Frame]) -> Iterator[Frame]:
             yield replace(frame, images=frame.images[::-1], path=None)
 
 
-def _check_lenses(odometry: Odometry, stream: FrameStream) -> None:
+def _check_lenses(odometry: AnyOdometry, stream: FrameStream) -> None:
     error = odometry.calibration_errors.lens_error
     if error is not None and stream.rig.is_stereo and abs(error.edge_px) > _MIN_EDGE_PX:
         raise LensesFound(error.k1, error.edge_px)
