@@ -16,7 +16,6 @@ from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.bundle_adjustment import well_observed
 from vo.engine.backend.residuals import residuals, with_measured_noise
-from vo.engine.backend.solution import WindowSolution, information_by_images
 from vo.engine.backend.window_problem import Ties, WindowProblem
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
@@ -33,33 +32,54 @@ class _State(NamedTuple):
     metre: float
 
 
-def solve_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> WindowSolution:
-    """Optimise a window of a rig."""
+class AdjustedRig(NamedTuple):
+    """Result for a window of K views of B bodies and M points.
+
+    Attributes:
+        held: (B,) bodies that stayed where they were.
+        point_ok: (M,) False for points with one observation, or behind a view at the end.
+        metre: change of the length of a metre in the map.
+        onto_bodies: (6 K, 6 B) how the tangents of views change with those of bodies.
+        by_metre: (6 K,) how they change with the length of a metre; None where it is known.
+    """
+
+    world_from_cam: Floats
+    held: Bools
+    points: Floats
+    point_ok: Bools
+    metre: float
+    onto_bodies: Floats
+    by_metre: Floats | None
+
+    def information(self, by_views: Floats) -> tuple[Floats, float]:
+        """That on the bodies, and on the length of a metre, by that on the views (6 K, 6 K)."""
+        onto = self.onto_bodies
+        on_bodies = onto.T @ by_views @ onto
+        if self.by_metre is None:
+            return on_bodies, 0.0
+        free = np.flatnonzero(np.repeat(~self.held, 6))
+        coupling = (onto.T @ (by_views @ self.by_metre))[free]
+        own = float(self.by_metre @ by_views @ self.by_metre)
+        inverse_free = np.linalg.pinv(on_bodies[np.ix_(free, free)], hermitian=True)
+        return on_bodies, max(0.0, own - float(coupling @ inverse_free @ coupling))
+
+
+def adjust_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> AdjustedRig | None:
+    """Optimise a window of a rig; None where no landmark constrains its poses."""
     window = _RigWindow(problem, ties, config)
-    held, count = window.held, len(window.held)
-    if held.all() or not window.point_ok[problem.point].any():
-        return _unsolved(problem, held)
+    held, ok = window.held, window.point_ok
+    if held.all() or not ok[problem.point].any():
+        return None
     state = window.optimise()
     poses = window.poses(state)
     points = window.bundle.points_for(poses)
-    ok = window.point_ok
     if not (np.isfinite(poses).all() and np.isfinite(points[ok]).all()):
-        return _unsolved(problem, held)
+        return None
     _, depth = residuals(problem, poses, points)
     ok[problem.point[~(depth > 0)]] = False
-    by_views = information_by_images(problem, poses, points, ok, config)
-    onto_bodies = _adjoints(ties.body_from_view, ties.views, np.arange(count), count)
-    information = onto_bodies.T @ by_views @ onto_bodies
-    metre = state.metre, window.metre_information(by_views, information)
-    return WindowSolution(poses, held, information, points, ok, None, True, {}, metre)
-
-
-def _unsolved(problem: WindowProblem, held: Bools) -> WindowSolution:
-    nothing = np.zeros((6 * len(held), 6 * len(held)))
-    ok = np.ones(len(problem.points), dtype=bool)
-    return WindowSolution(
-        problem.world_from_cam, held, nothing, problem.points, ok, None, False, {}
-    )
+    onto = _adjoints(ties.body_from_view, ties.views, np.arange(len(held)), len(held))
+    by_metre = None if ties.lever is None else _by_metre(ties)
+    return AdjustedRig(poses, held, points, ok, state.metre, onto, by_metre)
 
 
 class _RigWindow:
@@ -121,36 +141,14 @@ class _RigWindow:
                 break
         return state
 
-    def metre_information(self, by_views: Floats, information: Floats) -> float:
-        """Information on the length of a metre, all poses but the held ones unknown."""
-        lever = self._ties.lever
-        if lever is None:
-            return 0.0
-        column = self._lever_column()
-        free = np.flatnonzero(np.repeat(~self.held, 6))
-        count = len(self.held)
-        onto = _adjoints(self._ties.body_from_view, self._ties.views, np.arange(count), count)
-        coupling = (onto.T @ (by_views @ column))[free]
-        own = float(column @ by_views @ column)
-        inner = information[np.ix_(free, free)]
-        return max(0.0, own - float(coupling @ np.linalg.pinv(inner, hermitian=True) @ coupling))
-
     def _columns(self, moves: Bools) -> Floats:
         """A: how the tangents of the moving views change with the variables."""
         ties, number = self._ties, np.cumsum(~self.held) - 1
         slots = np.where(self.held, -1, number)
         onto = _adjoints(ties.body_from_view, ties.views, slots, len(self._free))
         if ties.lever is not None:
-            onto = np.column_stack([onto, self._lever_column()])
+            onto = np.column_stack([onto, _by_metre(ties)])
         return np.asarray(onto[np.repeat(np.repeat(moves, ties.views), 6)])
-
-    def _lever_column(self) -> Floats:
-        """(6 K,) how the tangents of all views change with the length of a metre."""
-        lever, turned = self._ties.lever, self._ties.body_from_view[:, :3, :3]
-        assert lever is not None
-        column = np.zeros((len(turned), 6))
-        column[:, 3:] = np.einsum("kij,ki->kj", turned, lever)
-        return column.ravel()
 
     def _scale_prior(self) -> Floats:
         """Information on single variables: keeps the scale of a new map, and what is known."""
@@ -182,6 +180,14 @@ class _RigWindow:
         for n, k in enumerate(self._free.tolist()):
             bodies[k] = orthonormalised(bodies[k] @ se3_exp(step[6 * n : 6 * n + 6]))
         return _State(bodies, state.metre + (0.0 if self._ties.lever is None else float(step[-1])))
+
+
+def _by_metre(ties: Ties) -> Floats:
+    """(6 K,) how the tangents of the views change with the length of a metre."""
+    assert ties.lever is not None
+    column = np.zeros((len(ties.lever), 6))
+    column[:, 3:] = np.einsum("kij,ki->kj", ties.body_from_view[:, :3, :3], ties.lever)
+    return column.ravel()
 
 
 def _adjoints(body_from_view: Floats, views: int, slots: Ints, count: int) -> Floats:

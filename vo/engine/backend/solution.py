@@ -15,7 +15,7 @@ from vo.engine.backend.calibration_residual import estimate_calibration_residual
 from vo.engine.backend.information import pose_information
 from vo.engine.backend.linearisation import linearise
 from vo.engine.backend.residuals import residuals
-from vo.engine.backend.window_problem import WindowProblem, gauge_of
+from vo.engine.backend.window_problem import Ties, WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
@@ -56,9 +56,7 @@ class WindowSolution(NamedTuple):
 def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     """Optimise a window in this process."""
     if problem.ties is not None:
-        from vo.engine.backend.rig_adjustment import solve_rig  # only rigs need it
-
-        return solve_rig(problem, problem.ties, config)
+        return _solve_rig(problem, problem.ties, config)
     from vo.engine.backend.bundle_adjustment import adjust_window  # importing GTSAM takes long
 
     adjusted = adjust_window(problem, config)
@@ -74,6 +72,19 @@ def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
         True,
         adjusted.states,
     )
+
+
+def _solve_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> WindowSolution:
+    from vo.engine.backend.rig_adjustment import adjust_rig  # only rigs need it
+
+    adjusted = adjust_rig(problem, ties, config)
+    if adjusted is None:
+        return unsolved(problem)
+    poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
+    by_views = information_by_images(problem, poses, points, ok, config)
+    information, on_metre = adjusted.information(by_views)
+    found = poses, adjusted.held, information, points, ok
+    return WindowSolution(*found, None, True, {}, (adjusted.metre, on_metre))
 
 
 def unsolved(problem: WindowProblem) -> WindowSolution:
