@@ -77,7 +77,13 @@ class RunOn:
         default=None,
         metavar="ADDRESS",
     )
-    threads: int = option("With --ray: cores for each recording.", default=2, min=1, metavar="N")
+    threads: int | None = option(
+        "With --ray: cores for each recording.",
+        default=None,
+        min=1,
+        metavar="N",
+        show_default="2",
+    )
     timeout: float | None = option(
         "End a run that takes longer.",
         default=None,
@@ -195,8 +201,11 @@ def make_engine(runs: RunOn, *, report: bool = False) -> Engine:
     """Where recordings run: on this machine, or on a cluster."""
     from vo.runs.batch.execution import Limits
 
-    limits = Limits(runs.threads, runs.timeout, runs.memory, runs.retries, report, known_flags())
+    threads = runs.threads or 2
+    limits = Limits(threads, runs.timeout, runs.memory, runs.retries, report, known_flags())
     if runs.ray is None:
+        if runs.threads is not None:
+            raise typer.BadParameter("--threads needs --ray; on this machine --jobs decides")
         from vo.runs.batch.batch import LocalEngine
 
         return LocalEngine(runs.jobs, limits)

@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import bag_logs
 import layouts
@@ -15,6 +16,7 @@ import pytest
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_typestore
 
+import vo
 from vo.base.errors import SourceError
 from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Floats, Ints
@@ -311,3 +313,17 @@ def test_columns_by_the_names_in_the_heading(
     np.testing.assert_allclose(samples.gyro, GYRO, rtol=1e-9)
     np.testing.assert_allclose(samples.accel, ACCEL, rtol=1e-9)
     assert ("does not name" in caplog.text) == ("unknown" in heading)
+
+
+@pytest.mark.parametrize("is_cut", [False, True])
+@pytest.mark.parametrize("to", ["mcap", "mcap-ros2"])
+def test_noise_that_is_written_with_a_log_is_read(
+    to: Literal["mcap", "mcap-ros2"], is_cut: bool, synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    """Also from a file whose index is lost."""
+    known = vo.open(synthetic_stereo).imus[0].noise
+    assert known is not None
+    path = vo.convert(synthetic_stereo, tmp_path / "log.mcap", to=to)
+    if is_cut:
+        path.write_bytes(path.read_bytes()[:-20])
+    assert vo.open(path).imus[0].noise == known

@@ -58,7 +58,8 @@ def merge_maps(first: Path, second: Path, output: Path, vocabulary: Vocabulary) 
         if not kept:
             raise ConfigError(
                 f"the maps {first} and {second} share no place that is recognised: they stay two "
-                "maps; record a session that passes through both"
+                "maps; record a session that passes through both, with three keyframes or more in "
+                "places of each"
             )
         keyframes = [(key, database.encoded(key)) for key in loaded.placed.keys]
         keyframes += [(place.key, encode_place(place)) for place in places]

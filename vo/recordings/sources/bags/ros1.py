@@ -6,7 +6,7 @@ Source: https://wiki.ros.org/Bags/Format/2.0
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -92,6 +92,10 @@ class Bag:
             except (SourceError, Damaged) as error:
                 _log.warning("%s; messages of that chunk are skipped", error)
         return found
+
+    def metadata(self, name: str) -> Mapping[str, str]:
+        """See `Log.metadata`: the format has none."""
+        return {}
 
     def read(self, entry: Entry) -> bytes:
         """Read the bytes of a message."""

@@ -6,7 +6,7 @@ import logging
 import shutil
 import tempfile
 import weakref
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -51,6 +51,10 @@ class Bag:
             for name, entries in part.entries(own).items():
                 joined[name] += [entry._replace(address=(number, entry)) for entry in entries]
         return joined
+
+    def metadata(self, name: str) -> Mapping[str, str]:
+        """See `Log.metadata`; of the first file that has any."""
+        return next((found for part in self._parts if (found := part.metadata(name))), {})
 
     def read(self, entry: Entry) -> bytes:
         """Read the bytes of a message."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import re
 import sqlite3
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -64,6 +64,10 @@ class SqliteFile:
         """See `Log.entries`."""
         with self._opened() as database:
             return {name: self._entries(database, name) for name in names if name in self._number}
+
+    def metadata(self, name: str) -> Mapping[str, str]:
+        """See `Log.metadata`: the format has none."""
+        return {}
 
     def read(self, entry: Entry) -> bytes:
         """Read the bytes of a message."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import astuple, fields
 from functools import cached_property
 
 import numpy as np
@@ -47,7 +49,7 @@ class LogImu:
         """
         self.name = topic.name
         given = given or ImuCalibration()
-        self.noise: ImuNoise | None = given.noise
+        self.noise: ImuNoise | None = given.noise or _recorded_noise(log, topic.name)
         self.time_offset_s = given.time_offset_s
         self._given = given.cam0_from_imu
         self._log = log
@@ -122,6 +124,16 @@ class LogImu:
         except VoError:
             return None
         return message if isinstance(message, ImuMessage) else None
+
+
+def _recorded_noise(log: Log, topic: str) -> ImuNoise | None:
+    """The noise that `vo convert` and `vo synth` store with an MCAP file."""
+    facts = log.metadata(topic.strip("/"))
+    try:
+        noise = ImuNoise(*(float(facts[each.name]) for each in fields(ImuNoise)))
+    except (KeyError, ValueError):
+        return None
+    return noise if all(0 <= value < math.inf for value in astuple(noise)) else None
 
 
 def imu_topics(topics: Sequence[Topic], named: str | None = None) -> list[Topic]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
@@ -151,6 +151,10 @@ class Log(Protocol):
         All topics are listed in one pass, because it may read the whole container. Damaged messages
         are skipped with a warning.
         """
+        ...
+
+    def metadata(self, name: str) -> Mapping[str, str]:
+        """Facts that the recorder stored under a name; empty without any."""
         ...
 
     def read(self, entry: Entry) -> bytes:

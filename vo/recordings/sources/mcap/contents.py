@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import ChunkIndex, Footer, Statistics
+from mcap.records import ChunkIndex, Footer, Metadata, MetadataIndex, Statistics
 
 from vo.base.errors import SourceError
 from vo.recordings.sources.logs.log import MessageSpan
@@ -21,6 +21,8 @@ from vo.recordings.sources.mcap.records import (
     DATA_END,
     FOOTER,
     MAGIC,
+    METADATA,
+    METADATA_INDEX,
     NO_CHUNK,
     RECORD_HEADER,
     SCHEMA,
@@ -35,6 +37,7 @@ from vo.recordings.sources.mcap.records import (
 
 _log = logging.getLogger(__name__)
 
+_MAX_METADATA_BYTES = 2**20
 _FOOTER_BYTES = RECORD_HEADER.size + 20
 
 
@@ -46,6 +49,7 @@ class FileContents:
         is_listed: whether the index lists the messages too.
         end: number of valid bytes.
         damage: the reason why the scan ended there; None if the file was closed properly.
+        metadata: facts by the name of their record.
     """
 
     index: MessageIndex
@@ -54,6 +58,7 @@ class FileContents:
     end: int
     damage: Damaged | None = None
     damaged_chunks: int = 0
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 def read_contents(path: Path) -> FileContents:
@@ -96,6 +101,7 @@ def _from_summary(stream: BinaryIO, size: int) -> FileContents | None:
 
 def _from_records(stream: BinaryIO, summary: bytes, data_end: int) -> FileContents | None:
     index, chunk_indexes, statistics = MessageIndex(), [], None
+    about: list[MetadataIndex] = []
     memory = BytesIO(summary)
     for record in records_between(memory, 0, len(summary)):
         if record.opcode in (SCHEMA, CHANNEL):
@@ -106,6 +112,8 @@ def _from_records(stream: BinaryIO, summary: bytes, data_end: int) -> FileConten
             chunk_indexes.append(parse(ChunkIndex, content, record.start))
         elif record.opcode == STATISTICS:
             statistics = parse(Statistics, content, record.start)
+        elif record.opcode == METADATA_INDEX:
+            about.append(parse(MetadataIndex, content, record.start))
     if statistics is None or statistics.chunk_count != len(chunk_indexes) or not chunk_indexes:
         return None
     counts = statistics.channel_message_counts
@@ -121,7 +129,22 @@ def _from_records(stream: BinaryIO, summary: bytes, data_end: int) -> FileConten
             contents.chunks.append(_indexed_chunk(stream, each, data_end))
         except Damaged:
             contents.damaged_chunks += 1
+    for found in about:
+        start = found.offset + RECORD_HEADER.size
+        _add_metadata(contents, stream, Record(METADATA, start, found.length - RECORD_HEADER.size))
     return contents
+
+
+def _add_metadata(contents: FileContents, stream: BinaryIO, record: Record) -> None:
+    """Keep the facts of a metadata record; a damaged or very long one is left out."""
+    if not 0 < record.length <= _MAX_METADATA_BYTES:
+        return
+    stream.seek(record.start)
+    try:
+        found = parse(Metadata, stream.read(record.length), record.start)
+    except Damaged:
+        return
+    contents.metadata[found.name] = found.metadata
 
 
 def _indexed_chunk(stream: BinaryIO, index: ChunkIndex, data_end: int) -> Chunk:
@@ -166,6 +189,8 @@ def scan_new_records(contents: FileContents, stream: BinaryIO, size: int) -> Non
 
 
 def _index_record(contents: FileContents, stream: BinaryIO, record: Record) -> None:
+    if record.opcode == METADATA:
+        _add_metadata(contents, stream, record)
     if record.opcode != CHUNK:
         contents.index.add_record(stream, record, NO_CHUNK)
         return

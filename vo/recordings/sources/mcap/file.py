@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import BinaryIO
 
@@ -62,6 +62,10 @@ class McapFile:
             name: _merged([index.entries.get(number, []) for number in self._channels_of[name]])
             for name in names
         }
+
+    def metadata(self, name: str) -> Mapping[str, str]:
+        """See `Log.metadata`."""
+        return self._contents.metadata.get(name, {})
 
     def read(self, entry: Entry) -> bytes:
         """Read the bytes of a message."""

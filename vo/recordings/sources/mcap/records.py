@@ -14,7 +14,15 @@ from typing import NamedTuple, Protocol, TypeVar, cast
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    Footer,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 
 from vo.base.errors import SourceError
 from vo.recordings.formats.codecs import find_codec
@@ -29,7 +37,7 @@ _CHUNK_HEADER = struct.Struct("<QQQII")
 _MAX_OPCODE, _MIN_PRIVATE_OPCODE = 0x0F, 0x80
 _MAX_NAME_BYTES = 16
 
-Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Schema, Statistics)
+Parsed = TypeVar("Parsed", Channel, ChunkIndex, Footer, Metadata, MetadataIndex, Schema, Statistics)
 NO_CHUNK = -1
 """Chunk number of messages outside of chunks."""
 
@@ -136,6 +144,7 @@ MESSAGE, CHUNK = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 SCHEMA, CHANNEL = int(Opcode.SCHEMA), int(Opcode.CHANNEL)
 FOOTER, DATA_END = int(Opcode.FOOTER), int(Opcode.DATA_END)
 STATISTICS, CHUNK_INDEX = int(Opcode.STATISTICS), int(Opcode.CHUNK_INDEX)
+METADATA, METADATA_INDEX = int(Opcode.METADATA), int(Opcode.METADATA_INDEX)
 
 
 class MessageAddress(NamedTuple):
