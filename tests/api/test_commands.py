@@ -32,6 +32,7 @@ RENAMED = {"topic": "topics", "right_offset": "right_offset_ns", "set": "overrid
     "tolerance": "tolerance_s",
     "interpolate": "interpolated",
     "threshold": "threshold_px",
+    "rig": "camera",
 }
 # What only makes sense in a terminal: printing, exit status, windows, lists of choices.
 OF_TERMINALS = {"help", "help_all", "json", "quiet", "verbose", "fail_under", "list", "profile"} | {

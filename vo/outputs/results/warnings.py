@@ -164,9 +164,9 @@ def map_warnings(use: MapUse | None, segments: Sequence[int]) -> list[str]:
     if len(apart) == len(segments):
         return [
             f"no segment was merged with the map {use.file}: the path is in a world of its own. "
-            "That takes three keyframes at known places, which are recognised from about where, and in about the direction, that the map's "
-            "sessions saw them: a drive in the other direction needs a session of its own in the "
-            "map, or markers"
+            "That takes three keyframes at known places, which are recognised from about where, "
+            "and in about the direction, that the map's sessions saw them: a drive in the other "
+            "direction needs a session of its own in the map, or markers"
         ]
     numbers = ", ".join(str(segment) for segment in apart)
     return [
