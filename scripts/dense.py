@@ -54,22 +54,29 @@ def main() -> None:
         if not recording.exists():
             settings = str(_ROOT / "configs" / "synth" / "suite" / f"{preset}.yaml")
             vo.synth(recording, settings, seconds=seconds, depth=True)
+        far = None
         for mode in ("stereo", "mono"):
-            lines.append(_row(name, recording, mode, near))
-            print(lines[-1], flush=True)
+            line, far = _row(name, recording, mode, near, far)
+            lines.append(line)
+            print(line, flush=True)
     if options.write:
         write_section(EXPERIMENTS / "dense.md", "dense", "\n".join(lines))
 
 
-def _row(name: str, recording: Path, mode: Any, near: float) -> str:
+def _row(
+    name: str, recording: Path, mode: Any, near: float, far: float | None
+) -> tuple[str, float]:
+    """A line, and to which depth in metres it is; `far`: that of the line before, or None."""
     run = recording.with_name(f"{recording.name}_{mode}")
     vo.run(recording, run, mode=mode, imu=False)
-    began = time.perf_counter()
-    done = vo.dense(run, options=vo.DenseOptions(depth=True))
-    took_s = time.perf_counter() - began
     result = vo.evaluate(run, recording, align="sim3" if mode == "mono" else "se3")
     alignment = result.alignment.reference_from_estimate
     scale = alignment.scale
+    began = time.perf_counter()
+    done = vo.dense(
+        run, options=vo.DenseOptions(depth=True, far=None if far is None else far / scale)
+    )
+    took_s = time.perf_counter() - began
     source: Any = vo.open(recording)
     stamps = {int(row["frame"]): int(row["stamp_ns"]) for row in _keyframes(run)}
     errors = _depth_errors(recording, done.output, stamps, scale)
@@ -85,11 +92,12 @@ def _row(name: str, recording: Path, mode: Any, near: float) -> str:
     distance = _distances(truth, _some(cloud), near)
     complete = cKDTree(cloud).query(_some(_seen_twice(truth, near)))[0] < near
     mesh = _distances(truth, _some(placed(read_mesh(done.output / "mesh.ply").vertices)), near)
-    return (
+    line = (
         f"| {name} | {mode} | {done.far * scale:.1f} | {100 * np.median(errors):.2f} | "
         f"{100 * complete.mean():.0f} | {100 * np.mean(distance > 5 * near):.1f} | "
         f"{1000 * mesh.mean():.0f} | {done.keyframes} | {done.keyframes / took_s:.1f} |"
     )
+    return line, done.far * scale
 
 
 def _keyframes(run: Path) -> list[dict[str, str]]:

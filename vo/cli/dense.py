@@ -24,7 +24,7 @@ class DepthChoice:
         show_default="1 % of the median depth",
     )
     far: float | None = option(
-        "Farthest depth.", default=None, metavar="LENGTH", show_default="where its error is 2.5 %"
+        "Farthest depth.", default=None, metavar="LENGTH", show_default="where its error is 2.2 %"
     )
     segment: int | None = option(
         "Number of the segment.",

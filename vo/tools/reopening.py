@@ -12,6 +12,7 @@ from vo.base.errors import SourceError
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
 from vo.base.types import Floats, Mode
 from vo.outputs.report.run_folder import RunRecord
+from vo.outputs.results.folder import CAMERA
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 
@@ -24,10 +25,11 @@ def recording_of(record: RunRecord, source: str | None = None) -> Recording:
     """
     summary = record.summary
     mode: Mode = "mono" if summary["mode"] == "mono" else "auto"
+    estimated = str(record.path / CAMERA) if summary.get("estimated_camera") else None
     return open_source(
         Path(str(summary["source"]) if source is None else source),
         format=str(summary["format"]),
-        calibration=summary.get("calibration"),
+        calibration=summary.get("calibration") or estimated,
         mode=mode,
         topics=summary.get("topics", ()),
         right_offset_ns=summary.get("right_offset_ns"),

@@ -11,13 +11,14 @@ from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Floats, Floats32
 from vo.tools.dense.agreement import confirmed
 from vo.tools.dense.cloud import Cloud, CubeCloud
-from vo.tools.dense.depth import DepthMap
+from vo.tools.dense.depth import even_depth
 from vo.tools.dense.ground import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, find_ground
 from vo.tools.dense.surface import DistanceField
 from vo.tools.dense.sweep import swept_depth
 
 RIG = RectifiedRig(160, 120, 120.0, 120.0, 79.5, 59.5, 0.1, np.eye(4))
 SIGMA = 0.002
+SIGMAS = np.full((120, 160), SIGMA, np.float32)
 GREY = np.full((120, 160, 3), 100, np.uint8)
 
 
@@ -43,7 +44,7 @@ NORMAL = np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])
 
 
 def test_depth_that_others_see_is_kept_and_what_they_look_through_is_not() -> None:
-    maps = [DepthMap(plane_seen(each, NORMAL, 3.0), SIGMA) for each in POSES]
+    maps = [even_depth(plane_seen(each, NORMAL, 3.0), SIGMA) for each in POSES]
     others = [(maps[k], POSES[k]) for k in (0, 1, 3, 4)]
     kept = confirmed(maps[2], POSES[2], others, RIG.intrinsics, 1)
     assert np.count_nonzero(kept) > 0.95 * kept.size
@@ -52,7 +53,7 @@ def test_depth_that_others_see_is_kept_and_what_they_look_through_is_not() -> No
     assert np.median(error) < 2e-4 and error.max() < SIGMA
     moved = maps[2].inverse.copy()
     moved[40:80, 60:100] = 1.0 / 1.8  # a thing that only this image shows
-    kept = confirmed(DepthMap(moved, SIGMA), POSES[2], others, RIG.intrinsics, 1)
+    kept = confirmed(even_depth(moved, SIGMA), POSES[2], others, RIG.intrinsics, 1)
     assert not kept[40:80, 60:100].any() and np.mean(kept[:40] > 0) > 0.9
     assert not confirmed(maps[2], POSES[2], [], RIG.intrinsics, 1).any()
     assert not confirmed(maps[2], POSES[2], others[:1], RIG.intrinsics, 2).any()
@@ -61,7 +62,7 @@ def test_depth_that_others_see_is_kept_and_what_they_look_through_is_not() -> No
 def test_points_and_normals_of_a_plane_are_exact() -> None:
     cubes = CubeCloud(0.05, RIG)
     for each in POSES:
-        cubes.add(plane_seen(each, NORMAL, 3.0), SIGMA, GREY, each)
+        cubes.add(plane_seen(each, NORMAL, 3.0), SIGMAS, GREY, each)
     cloud = cubes.cloud()
     assert np.abs(cloud.xyz @ NORMAL - 3.0).max() < 1e-4
     assert (cloud.normal @ NORMAL).max() < -0.999  # towards the cameras
@@ -79,7 +80,7 @@ def test_the_mesh_of_a_sphere_is_round_and_faces_the_cameras() -> None:
         a, b = (direction**2).sum(-1), direction @ to_centre
         root = b**2 - a * (to_centre @ to_centre - radius**2)
         inverse = np.where(root > 0, a / (b - np.sqrt(np.maximum(root, 0))), 0).astype(np.float32)
-        seen = cubes.add(inverse, SIGMA, GREY, world_from_cam)
+        seen = cubes.add(inverse, SIGMAS, GREY, world_from_cam)
         field.add(inverse, GREY, world_from_cam, seen)
     mesh = field.mesh()
     error = np.abs(np.linalg.norm(mesh.vertices - centre, axis=1) - radius)

@@ -16,6 +16,7 @@ class RightCameraError(NamedTuple):
         roll_deg: counter-clockwise, seen from behind.
         zoom_percent: of the focal length, positive if it is longer.
         rows_px: maximum vertical disparity of rectified images.
+        bend_px, skew_px: of `VerticalDisparity`.
     """
 
     pitch_deg: float
@@ -23,6 +24,8 @@ class RightCameraError(NamedTuple):
     roll_deg: float
     zoom_percent: float
     rows_px: float
+    bend_px: float = 0.0
+    skew_px: float = 0.0
 
     @property
     def in_words(self) -> str:

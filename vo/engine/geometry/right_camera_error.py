@@ -70,12 +70,15 @@ def right_camera_error(corrected: VerticalDisparity, rig: RectifiedRig) -> Right
     yaw_px = -rig.disparity_offset_px if rig.offset_is_yaw else 0.0
     if corrected == VerticalDisparity() and yaw_px == 0.0:
         return None
+    pitch, yaw, roll = np.rad2deg(
+        np.array([corrected.pitch_px, yaw_px, corrected.roll_px]) / rig.fx
+    )
     return RightCameraError(
-        pitch_deg=float(np.rad2deg(corrected.pitch_px / rig.fx)),
-        yaw_deg=float(np.rad2deg(yaw_px / rig.fx)),
-        roll_deg=float(np.rad2deg(corrected.roll_px / rig.fx)),
+        *(float(pitch), float(yaw), float(roll)),
         zoom_percent=100.0 * corrected.zoom_px / rig.fx,
         rows_px=max_row_error(corrected, rig),
+        bend_px=corrected.bend_px,
+        skew_px=corrected.skew_px,
     )
 
 

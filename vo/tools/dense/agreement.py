@@ -30,7 +30,7 @@ def confirmed(
     if not others:
         return np.zeros_like(depth.inverse)
     maps = np.stack([each.inverse for each, _ in others])
-    sigmas = np.array([each.sigma for each, _ in others])
+    sigmas = np.stack([each.sigma for each, _ in others])
     moves = np.stack([inverse(pose) @ world_from_cam for _, pose in others])
     own = np.ascontiguousarray(depth.inverse), depth.sigma
     found = _confirmed(*own, maps, sigmas, moves, np.array(camera, np.float64), min_views)
@@ -53,7 +53,8 @@ def _confirmed(inverse, sigma, maps, sigmas, moves, camera, min_views):  # type:
             if w <= 0.0:
                 continue
             x, y = (u - cx) / fx, (v - cy) / fy
-            weight, total, agree, against = 1.0 / sigma**2, w / sigma**2, 0, 0
+            own = sigma[v, u]
+            weight, total, agree, against = 1.0 / own**2, w / own**2, 0, 0
             for k in range(len(maps)):
                 m = moves[k]
                 a = m[2, 0] * x + m[2, 1] * y + m[2, 2]
@@ -69,8 +70,8 @@ def _confirmed(inverse, sigma, maps, sigmas, moves, camera, min_views):  # type:
                 if seen <= 0.0:
                     continue
                 # Sigma of 1 / z as this camera predicts it: d(1/z) = a / (w z)^2 dw.
-                predicted = a / (w * z) ** 2 * sigma
-                limit = _MAX_SIGMAS * np.sqrt(predicted**2 + sigmas[k] ** 2)
+                predicted = a / (w * z) ** 2 * own
+                limit = _MAX_SIGMAS * np.sqrt(predicted**2 + sigmas[k, i, j] ** 2)
                 difference = seen - 1.0 / z
                 if difference < -limit:
                     against += 1
@@ -79,7 +80,7 @@ def _confirmed(inverse, sigma, maps, sigmas, moves, camera, min_views):  # type:
                     depth = 1.0 / seen - m[2, 3]
                     if a > 0.0 and depth > 0.0:
                         other = a / depth
-                        s = sigmas[k] * other**2 / (a * seen**2)
+                        s = sigmas[k, i, j] * other**2 / (a * seen**2)
                         weight += 1.0 / s**2
                         total += other / s**2
             if agree >= min_views and agree > against:

@@ -43,7 +43,7 @@ class CubeCloud:
         self._merged: list[tuple[Ints, Floats32]] = [_merge([])]
         self._waiting: list[tuple[Ints, Floats32]] = []
 
-    def add(self, inverse: Floats32, sigma: float, rgb: Bytes, world_from_cam: Floats) -> Ints:
+    def add(self, inverse: Floats32, sigma: Floats32, rgb: Bytes, world_from_cam: Floats) -> Ints:
         """Add the inverse depths (H, W) of a keyframe; returns the cubes (N, 3) that it sees."""
         view = np.ascontiguousarray(inverse), sigma, rgb, world_from_cam, self._camera
         keys, sums = _cubes_of(*view, self._edge)
@@ -129,7 +129,7 @@ def _cubes_of(inverse, sigma, rgb, pose, camera, edge):  # type: ignore[no-untyp
                 sums[count, 11] = 1.0
                 count += 1
             r = table[place]
-            weight = (w * w / sigma) ** 2
+            weight = (w * w / sigma[v, u]) ** 2
             sums[r, 0] += weight
             sums[r, 10] += 1.0
             for a in range(3):

@@ -14,10 +14,10 @@ from vo.base.scheduling import one_opencv_thread
 from vo.outputs.report.run_folder import RunRecord, read_run
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.tools.dense.depth import DepthMap, StereoDepth, measured_depth
-from vo.tools.dense.fusion import NEIGHBOURS, WORKERS, DenseOptions, Densified, Fusion
+from vo.tools.dense.fusion import WORKERS, DenseOptions, Densified, Fusion
 from vo.tools.dense.keyframes import KeyframeImages, RunKeyframes
 from vo.tools.dense.store import DepthStore
-from vo.tools.dense.sweep import swept_depth
+from vo.tools.dense.sweep import REACH, swept_depth
 
 _WORK = ".depth.partial"  # depths of a run that was broken off
 
@@ -97,7 +97,7 @@ def _estimate(keyframes: RunKeyframes, store: DepthStore) -> Iterator[int]:
             return measured_depth(images, rig)
         return matchers[worker](images)
 
-    reach = NEIGHBOURS if is_single else 0
+    reach = REACH if is_single else 0
     windows = _windows(keyframes.images(max(missing[0] - reach, 0)), reach)
     wanted = (each for each in windows if not store.has(each[0]))
     with ThreadPoolExecutor(WORKERS) as pool, closing(wanted):

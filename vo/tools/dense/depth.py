@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.types import Floats32
+from vo.base.types import Bytes, Floats32
 from vo.tools.dense.keyframes import KeyframeImages
 
-MAX_ERROR = 0.025  # relative standard deviation of the farthest depth of a single keyframe
+MAX_ERROR = 0.022  # relative standard deviation of the farthest depth of a single keyframe
 SIGMA_PX = 0.25  # of a disparity where the surface has texture, on rendered rooms and streets
 _BLOCK_PX = 5
 _SIXTEENTHS = 16  # of a pixel, the unit of OpenCV's disparities
@@ -30,11 +30,16 @@ class DepthMap(NamedTuple):
 
     Attributes:
         inverse: (H, W) 1 / z in the camera, 0 where unknown.
-        sigma: standard deviation of it.
+        sigma: (H, W) standard deviation of it.
     """
 
     inverse: Floats32
-    sigma: float
+    sigma: Floats32
+
+
+def even_depth(inverse: Floats32, sigma: float) -> DepthMap:
+    """Inverse depths (H, W) with one standard deviation."""
+    return DepthMap(inverse, np.full(inverse.shape, sigma, np.float32))
 
 
 class StereoDepth:
@@ -42,7 +47,7 @@ class StereoDepth:
 
     def __init__(self, rig: RectifiedRig) -> None:
         self._rig = rig
-        reach = int(np.ceil(_RANGE * rig.width / _SIXTEENTHS)) * _SIXTEENTHS
+        self._reach = reach = int(np.ceil(_RANGE * rig.width / _SIXTEENTHS)) * _SIXTEENTHS
         area = _BLOCK_PX * _BLOCK_PX
         self._matcher = cv2.StereoSGBM.create(
             minDisparity=0,
@@ -63,15 +68,19 @@ class StereoDepth:
         rig = self._rig
         scale = np.float32(1.0 / (rig.fx * rig.baseline_m))
         if images.right is None:
-            return DepthMap(np.zeros(images.left.shape, np.float32), SIGMA_PX * float(scale))
-        found = self._matcher.compute(images.left, images.right)
-        disparity = found.astype(np.float32) * np.float32(1.0 / _SIXTEENTHS)
-        known = disparity > 0
+            return even_depth(np.zeros(images.left.shape, np.float32), SIGMA_PX * float(scale))
+        found = self._matcher.compute(self._padded(images.left), self._padded(images.right))
+        disparity = found[:, self._reach :].astype(np.float32) * np.float32(1.0 / _SIXTEENTHS)
+        known = (disparity > 0) & (disparity <= np.arange(rig.width))
         if rig.disparity_offset_px or rig.disparity_curve_px:
             u = np.arange(rig.width, dtype=np.float64)[None] - disparity
             disparity = (disparity - rig.disparity_error(u)).astype(np.float32)
         inverse = np.where(known & (disparity > 0), disparity * scale, np.float32(0))
-        return DepthMap(inverse.astype(np.float32), SIGMA_PX * float(scale))
+        return even_depth(inverse.astype(np.float32), SIGMA_PX * float(scale))
+
+    def _padded(self, image: Bytes) -> Bytes:
+        """With columns on the left: OpenCV matches none that a largest disparity leads out of."""
+        return np.asarray(cv2.copyMakeBorder(image, 0, 0, self._reach, 0, cv2.BORDER_REPLICATE))
 
 
 def measured_depth(images: KeyframeImages, rig: RectifiedRig) -> DepthMap:
@@ -79,8 +88,8 @@ def measured_depth(images: KeyframeImages, rig: RectifiedRig) -> DepthMap:
     depth = images.depth
     sigma = _SENSOR_SIGMA_PX / (rig.fx * rig.baseline_m)
     if depth is None:
-        return DepthMap(np.zeros(images.left.shape, np.float32), sigma)
+        return even_depth(np.zeros(images.left.shape, np.float32), sigma)
     known = np.isfinite(depth) & (depth > 0)
     inverse = np.zeros(depth.shape, np.float32)
     np.divide(np.float32(1), depth, out=inverse, where=known)
-    return DepthMap(inverse, sigma)
+    return even_depth(inverse, sigma)

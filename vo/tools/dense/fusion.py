@@ -42,7 +42,7 @@ class DenseOptions:
     Attributes:
         edge: of the cubes of the cloud and the voxels of the mesh, None for about a percent of the
             median depth.
-        far: farthest depth, None for where the standard deviation of a single one is 2.5 percent.
+        far: farthest depth, None for where the standard deviation of a single one is 2.2 percent.
         segment: number of the segment, None for the one with most keyframes.
         mesh: whether to make a mesh.
         grid: whether to make a grid.
@@ -137,14 +137,14 @@ class Fusion:
         self._posed: list[tuple[str, Floats]] = []  # images for nerfstudio
 
     def _typical(self) -> tuple[float, float]:
-        """Medians over keyframes of the depths, and of the errors of inverse depths."""
+        """Medians over keyframes of the depths, and of the errors of the farthest inverse ones."""
         depths, sigmas = [], []
         for row in self._rows:
             depth = self._store.load(row)
             known = depth.inverse[depth.inverse > 0]
             if len(known):
                 depths.append(1.0 / float(np.median(known)))
-                sigmas.append(depth.sigma)
+                sigmas.append(float(np.percentile(depth.sigma, 25)))
         if not depths:
             raise SourceError(
                 f"{self._record.path}: no keyframe shows depth; the camera has to move past "
@@ -173,7 +173,7 @@ class Fusion:
         found = confirmed(store.load(row), poses[row], others, rig.intrinsics, views)
         return np.where(found > 1.0 / self._far, found, np.float32(0))
 
-    def _add(self, images: KeyframeImages, inverse: Floats32, sigma: float) -> None:
+    def _add(self, images: KeyframeImages, inverse: Floats32, sigma: Floats32) -> None:
         pose, rgb, options = images.world_from_cam, images.rgb, self._options
         self._known += int(np.count_nonzero(inverse))
         self._pixels += inverse.size

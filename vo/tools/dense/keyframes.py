@@ -11,7 +11,8 @@ import numpy as np
 
 from vo.base.errors import ConfigError, SourceError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
-from vo.base.geometry.rectification_maps import wide_maps
+from vo.base.geometry.rectification_maps import displaced_maps, wide_maps
+from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.types import Bytes, Floats, Floats32, Frame
 from vo.outputs.report.run_folder import RunRecord
 from vo.recordings.sources.source import Recording
@@ -94,16 +95,30 @@ class RunKeyframes:
 
 
 def _rig_of_run(stream: Recording, record: RunRecord) -> RectifiedRig:
-    """The pinhole cameras of the recording, with the disparities' errors that the run has found."""
+    """The pinhole cameras of the recording, with the errors that the run has found corrected."""
+    summary = record.summary
     rig = rectified_rig(stream.rig)
+    right = summary.get("right_camera")
+    if right is not None:
+        turns = {f"{k}_px": np.deg2rad(right[f"{k}_deg"]) * rig.fx for k in ("pitch", "roll")}
+        lens = {f"{k}_px": right.get(f"{k}_px", 0.0) for k in ("bend", "skew")}
+        zoom_px = 0.01 * right["zoom_percent"] * rig.fx
+        rig = rig.with_right_corrected(VerticalDisparity(**turns, **lens, zoom_px=zoom_px))
+    if summary.get("lens_error") is not None:
+        rig = rig.with_k1_error(summary["lens_error"]["k1"])
     if rig.lens is not None:
-        size = rig.width, rig.height
-        maps = wide_maps(rig.lens, np.eye(3), rig.matrix, size), None
-        rig = replace(rig, lens=None, maps=maps)
-    offset, curve = (
-        float(record.summary.get(f"disparity_{k}_px") or 0.0) for k in ("offset", "curve")
-    )
+        rig = _without_distortion(rig)
+    offset, curve = (float(summary.get(f"disparity_{k}_px") or 0.0) for k in ("offset", "curve"))
     return replace(rig, disparity_offset_px=offset, disparity_curve_px=curve)
+
+
+def _without_distortion(rig: RectifiedRig) -> RectifiedRig:
+    """The same rig with images remapped to those without its lens."""
+    assert rig.lens is not None
+    at = wide_maps(rig.lens, np.eye(3), rig.matrix, (rig.width, rig.height))
+    u, v = (np.asarray(each, np.float32) for each in cv2.convertMaps(*at, cv2.CV_32FC1))
+    sides = [at if maps is None else displaced_maps(maps, u, v) for maps in rig.maps]
+    return replace(rig, lens=None, k1_error=0.0, maps=(sides[0], sides[1]))
 
 
 def _grey(image: Bytes) -> Bytes:

@@ -13,6 +13,8 @@ from vo.base.files.complete_file import complete_file, writing
 from vo.tools.dense.depth import DepthMap
 
 _STEPS_PER_SIGMA = 8  # of inverse depths as they are stored
+_STEPS_PER_DOUBLING = 16  # of standard deviations
+_MAX = 65535
 
 
 class DepthStore:
@@ -36,11 +38,15 @@ class DepthStore:
 
     def save(self, row: int, depth: DepthMap) -> None:
         """Store the depth of a keyframe."""
-        step = depth.sigma / _STEPS_PER_SIGMA
-        whole = np.clip(np.rint(depth.inverse / np.float32(step)), 0, 65535).astype(np.uint16)
+        least = float(depth.sigma.min())
+        step = max(least / _STEPS_PER_SIGMA, float(depth.inverse.max()) / _MAX)
+        whole = np.rint(depth.inverse / np.float32(step)).astype(np.uint16)
+        errors = np.rint(_STEPS_PER_DOUBLING * np.log2(depth.sigma / np.float32(least)))
+        sigma = np.minimum(errors, 255).astype(np.uint8)
+        pictures = (cv2.imencode(".png", each)[1] for each in (whole, sigma))
         path = self._path(row)
         with writing(path), complete_file(path) as file:
-            np.savez(file, png=cv2.imencode(".png", whole)[1], sigma=depth.sigma)
+            np.savez(file, *pictures, step=step, least=least)
 
     def load(self, row: int) -> DepthMap:
         """The depth of a keyframe.
@@ -51,11 +57,14 @@ class DepthStore:
         path = self._path(row)
         try:
             with np.load(path) as data:
-                sigma = float(data["sigma"])
-                whole = np.asarray(cv2.imdecode(data["png"], cv2.IMREAD_UNCHANGED), np.uint16)
+                step, least = np.float32(data["step"]), np.float32(data["least"])
+                whole, errors = (
+                    np.asarray(cv2.imdecode(data[name], cv2.IMREAD_UNCHANGED), np.float32)
+                    for name in ("arr_0", "arr_1")
+                )
         except (OSError, ValueError, KeyError, EOFError, TypeError, cv2.error) as error:
             raise SourceError(f"{path} is damaged; remove {self._folder} and run again") from error
-        return DepthMap(whole.astype(np.float32) * np.float32(sigma / _STEPS_PER_SIGMA), sigma)
+        return DepthMap(whole * step, least * np.exp2(errors / np.float32(_STEPS_PER_DOUBLING)))
 
     def rows(self, count: int) -> list[int]:
         """Keyframes of `count` whose depth is there."""
