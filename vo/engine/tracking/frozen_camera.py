@@ -24,6 +24,7 @@ _MAX_INTERVAL_S = {Repetition.IDENTICAL: 0.5, Repetition.SIMILAR: 0.25}
 # are more identical ones than this where the motion before is unknown.
 _MAX_SIMILAR_S = 5.0
 _MAX_UNKNOWN = 3
+_STILL_PX = 1.0  # motion of landmarks from which the camera goes on, whatever noise hides
 _MAX_START_RATIO = 1.2  # of the motion in the first frame after a stop to that before it
 
 
@@ -70,9 +71,12 @@ class FrozenCamera:
 
     def _is_moving(self, frame: PreprocessedFrame, last: LastFrame, interval_s: float) -> bool:
         ids = last.ids[last.inlier]
-        motion_px = self._tracker.predicted_motion_px(ids, frame.stamp_ns)
-        is_fast = motion_px >= _MIN_MOTION_PX[frame.repetition]
-        return is_fast and interval_s <= _MAX_INTERVAL_S[frame.repetition]
+        motion_px = self._tracker.motion_px(ids, frame.stamp_ns)
+        kind = frame.repetition
+        if motion_px < _MIN_MOTION_PX[kind] or interval_s > _MAX_INTERVAL_S[kind]:
+            return False
+        moved = None if kind is Repetition.IDENTICAL else self._tracker.align_to_last(frame)
+        return moved is None or self._tracker.motion_px(ids, frame.stamp_ns, moved) < _STILL_PX
 
     def _has_stood(self, tracked: TrackedFrame, first: FrameId) -> bool:
         """Whether landmarks have moved since the last frame as in one frame before it.
@@ -89,5 +93,5 @@ class FrozenCamera:
             return False
         motion = tracked.observed.image_xy[tracked.inlier][now] - last.image_xy[before]
         moved_px = median(np.hypot(motion[:, 0], motion[:, 1]))
-        usual_px = self._tracker.predicted_motion_px(ids, first.stamp_ns)
+        usual_px = self._tracker.motion_px(ids, first.stamp_ns)
         return moved_px < max(_MAX_START_RATIO * usual_px, _MIN_MOTION_PX[Repetition.IDENTICAL])

@@ -137,11 +137,12 @@ class Tracker:
         """Follow the map's newest keyframe, which optimisation has moved by (4, 4)."""
         self._motion.move(motion)
 
-    def predicted_motion_px(self, ids: Ints, stamp_ns: int) -> float:
-        """Median motion of landmarks in the image from the last frame to a time; 0 if unknown."""
+    def motion_px(self, ids: Ints, stamp_ns: int, last_from_cam: Floats | None = None) -> float:
+        """Median motion of landmarks in the image from the last frame to a time or a pose, or 0."""
         rows = self._map.rows(ids)
         xyz = self._map.xyz[rows[rows >= 0]]
-        poses = self._motion.last, self._motion.predict(stamp_ns)
+        last, moved = self._motion.last, last_from_cam
+        poses = last, self._motion.predict(stamp_ns) if moved is None else last @ moved
         before, after = (transform_points(inverse(pose), xyz) for pose in poses)
         seen = (before[:, 2] > 0) & (after[:, 2] > 0)
         if not seen.any():
