@@ -78,9 +78,10 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"dense", "inspection", "laboratory", "maps", "markers", "objects", "rendering"},
     ),
     "vo.runs": (
-        {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"},
+        {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"}
+        | {"focal_adjustment", "keyframe_tracking", "readout"},
         {"run_options", "run_scale", "run_summary"},
-        {"camera_estimation", "camera_poses", "second_pass"},
+        {"camera_estimation", "camera_poses", "second_pass", "zoom"},
         {"run_session"},
         {"run_recording"},
         {"batch"},

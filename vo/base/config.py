@@ -253,6 +253,11 @@ _Areas = Annotated[_Texts, AfterValidator(_are_areas)]
 class CameraConfig(Section):
     """Properties of the cameras, beside those of their calibration."""
 
+    focal: Literal["auto", "constant", "slow"] = Field(
+        "auto",
+        description="focal length: constant; slow: follow zoom and autofocus of a recording, which "
+        "is tracked several times; auto: slow where a change is noticed",
+    )
     readout_s: float | None = Field(
         None,
         ge=0,

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import logging
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +19,7 @@ import numpy as np
 from vo.base.config import Config
 from vo.base.errors import CalibrationError, NoCalibration
 from vo.base.records.estimated_camera import EstimatedCamera
-from vo.base.types import Camera, Estimate, Floats, Frame, KeyframePose, Rig, Sightings
+from vo.base.types import Camera, Estimate, Frame, Rig
 from vo.engine.backend.lens_adjustment import (
     FROM_A_GUESS,
     IDEAL,
@@ -31,13 +29,13 @@ from vo.engine.backend.lens_adjustment import (
     Lens,
     adjust_lens,
 )
-from vo.engine.odometry import Odometry
 from vo.recordings.formats.calibration import write_calibration
 from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.camera_hint import NO_HINT, CameraHint, camera_hint
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.recordings.sources.uncalibrated import open_uncalibrated
+from vo.runs.keyframe_tracking import track_keyframes, without_extras
 from vo.runs.run_options import RunOptions
 from vo.runs.sensor_alignment import align_sensor
 
@@ -45,7 +43,7 @@ _log = logging.getLogger(__name__)
 
 _FIELDS_DEG, _GUESSED_K1 = (50.0, 65.0, 80.0, 100.0), (0.0, -0.25)  # guesses: across the image, k1
 _FIRST_FRAMES, _FRAMES = 100, 300
-_MIN_KEYFRAMES, _MIN_OBSERVATIONS, _MIN_VIEWS = 4, 200, 3
+_MIN_KEYFRAMES, _MIN_OBSERVATIONS = 4, 200
 _MAX_KEYFRAMES = 150
 _MIN_TRACKED = 0.85  # of the frames that the best guess has tracked
 _WIDTHS = (0.25, 2.5)  # focal lengths in image widths that cameras have
@@ -139,13 +137,7 @@ class _Search:
         self._stream, self._options, self._hint = stream, options, hint
         self._size = stream.rig.cam0.width, stream.rig.cam0.height
         self.middle = (self._size[0] - 1.0) / 2.0, (self._size[1] - 1.0) / 2.0
-        off = {"lens_correction": False}, {"loops": False, "map": "", "localize": False}
-        self._config = config.model_copy(
-            update={
-                "refinement": config.refinement.model_copy(update=off[0]),
-                "memory": config.memory.model_copy(update=off[1]),
-            }
-        )
+        self._config = without_extras(config)
 
     def camera(self, lens: Lens) -> Camera:
         """The camera with a lens, in OpenCV's model."""
@@ -227,56 +219,16 @@ class _Search:
         return adjusted if np.isfinite([*adjusted.lens, adjusted.residual_px]).all() else None
 
     def _tracked(self, lens: Lens, count: int) -> _Tracked | None:
-        """Keyframes of the largest segment in the first frames, by the odometry with a lens."""
-        sightings: dict[int, Sightings] = {}
-        points: dict[int, Floats] = {}
-        poses: dict[int, KeyframePose] = {}
-        path: list[Estimate] = []
-        with closing(Odometry(Rig(self.camera(lens)), self._config)) as odometry:
-            for estimate in odometry.track_all(self._frames(count)):
-                if estimate.world_from_cam0 is not None:
-                    path.append(estimate)
-                poses.update({each.frame_index: each for each in estimate.keyframes})
-                landmarks = odometry.snapshot().landmarks if estimate.keyframes else None
-                if landmarks is not None:
-                    sightings.update({each.frame_index: each for each in landmarks.sightings})
-                    points.update(zip(landmarks.ids.tolist(), landmarks.xyz, strict=True))
-        segments = Counter(poses[n].segment for n in sightings if n in poses)
-        if not segments:
+        """The path of the first frames by a lens, and the keyframes of its largest segment."""
+        tracked = track_keyframes(Rig(self.camera(lens)), self._config, self._frames(count))
+        segments = sorted(tracked.segments, key=len, reverse=True)  # stable: the earlier of equals
+        if not segments or len(segments[0]) < _MIN_KEYFRAMES:
             return None
-        largest = segments.most_common(1)[0][0]
-        rows = [n for n in sorted(sightings) if n in poses and poses[n].segment == largest]
-        if len(rows) < _MIN_KEYFRAMES:
-            return None
-        views = _views(rows[:_MAX_KEYFRAMES], sightings, points, poses, np.array(self.middle))
-        return _Tracked(path, views)
+        views = tracked.views(segments[0][:_MAX_KEYFRAMES], np.array(self.middle))
+        return _Tracked(tracked.path, views)
 
     def _frames(self, count: int) -> Iterator[Frame]:
         options = self._options
         last = options.start + count * options.stride
         end = last if options.end is None else min(last, options.end)
         return iter(self._stream.frames(options.start, end, options.stride))
-
-
-def _views(
-    rows: list[int],
-    sightings: dict[int, Sightings],
-    points: dict[int, Floats],
-    poses: dict[int, KeyframePose],
-    middle: Floats,
-) -> KeyframeViews:
-    """Observations of the landmarks that three of these keyframes observe."""
-    keyframe = np.repeat(np.arange(len(rows)), [len(sightings[n].ids) for n in rows])
-    ids = np.concatenate([sightings[n].ids for n in rows])
-    xy = np.concatenate([sightings[n].xy for n in rows]).astype(np.float64)
-    known, point, seen = np.unique(ids, return_inverse=True, return_counts=True)
-    kept = (seen >= _MIN_VIEWS)[point] & np.array([n in points for n in known.tolist()])[point]
-    used, point = np.unique(ids[kept], return_inverse=True)
-    return KeyframeViews(
-        middle,
-        np.stack([poses[n].world_from_cam0 for n in rows]),
-        np.array([points[n] for n in used.tolist()]).reshape(-1, 3),
-        keyframe[kept],
-        point,
-        xy[kept],
-    )

@@ -9,8 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from vo.base.config import Config, MemoryConfig, dump_config
 from vo.base.errors import (
     CalibrationError,
@@ -44,10 +42,12 @@ from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.inertial_checks import Unusable, why_unusable
+from vo.runs.readout import check_readout
 from vo.runs.run_options import RunOptions
 from vo.runs.run_session import OpenedRun, RunSession
 from vo.runs.scaling.scale_sources import make_scale_sources
 from vo.runs.second_pass import (
+    FocalLengthChange,
     InertialContradiction,
     LeftCameraUseless,
     LensesFound,
@@ -55,6 +55,7 @@ from vo.runs.second_pass import (
     exchanged,
     known_at_first,
 )
+from vo.runs.zoom import follow_focal_length
 
 _log = logging.getLogger(__name__)
 
@@ -95,8 +96,12 @@ def run(
     _check_outputs(source, output, config, options)
     with collected_warnings(are_shown=True) as warnings:
         stream, camera = _open_or_estimate(source, config, options)
-        _check_readout(stream, config)
-        opened, components = _with_imu(_opened(source, stream, config, options))
+        check_readout(stream, config)
+        opened = _opened(source, stream, config, options)
+        if config.camera.focal == "slow":
+            zoomed = _followed(opened)
+            opened = replace(_opened(source, zoomed.stream, config, options), known=zoomed.known)
+        opened, components = _with_imu(opened)
     opened = replace(opened, warnings=tuple(warnings), estimated_camera=camera)
     with (
         _disconnected_at_end(stream),
@@ -111,9 +116,18 @@ def run(
                 _log.info("%s; all frames are tracked again", found)
                 reason = found.with_traceback(None)
             options = replace(options, optimizer_process=None)
-            opened, components = _again(
-                reason, opened, _opened(source, stream, config, options), components
-            )
+            opened = _followed(opened) if isinstance(reason, FocalLengthChange) else opened
+            again = _opened(source, opened.stream, config, options)
+            opened, components = _again(reason, opened, again, components)
+
+
+def _followed(opened: OpenedRun) -> OpenedRun:
+    """The recording with images at a constant focal length."""
+    if not opened.known.can_follow:
+        raise ConfigError("`camera.focal=slow` needs a recording of one or two cameras to its end")
+    stream, focal = follow_focal_length(opened.stream, opened.config, opened.options)
+    known = opened.known._replace(can_follow=False, focal_lengths=focal)
+    return replace(opened, stream=stream, known=known)
 
 
 def _again(
@@ -240,21 +254,6 @@ def _check_outputs(
     # Only the new map may replace the old one.
     refuse_to_overwrite([Path(memory.map) if memory.map else None], (Path(output), *files))
     refuse_to_collide(Path(output), (*files, save_map))
-
-
-def _check_readout(stream: FrameStream, config: Config) -> None:
-    """Refuse a readout time that is longer than the time between frames."""
-    given, calibrated_s = config.camera.readout_s, stream.rig.cam0.readout_s
-    readout_s = calibrated_s if given is None else given
-    if readout_s == 0.0 or not isinstance(stream, Recording) or len(stream) < 2:
-        return
-    interval_s = 1e-9 * float(np.median(np.diff(stream.stamps_ns)))
-    if readout_s > interval_s > 0.0:
-        name = "readout_s of the calibration" if given is None else "camera.readout_s"
-        raise CalibrationError(
-            f"{name} is {readout_s:g} s, but frames are {interval_s:.3g} s apart; give the time "
-            "from the first to the last row of an image, or 0 for a global shutter"
-        )
 
 
 def _open_or_estimate(

@@ -38,6 +38,7 @@ from vo.runs.run_scale import RunScale
 from vo.runs.run_summary import summarise_odometry
 from vo.runs.scaling.scale_sources import ScaleSources
 from vo.runs.second_pass import Known, TrackAgain, check_sensor, watched
+from vo.runs.zoom import zoom_faults
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries
@@ -96,6 +97,7 @@ class OpenedRun:
                 if rig.is_stereo or each.kind != "large_baseline"
             ),
             estimated_camera=self.estimated_camera,
+            focal_lengths=self.known.focal_lengths,
         )
 
     def with_public_name(self, text: str) -> str:
@@ -126,11 +128,11 @@ class RunSession:
         poses.begin(is_metric=stream.rig.is_metric, faults=stream.faults, is_live=is_live)
         self._statistics = RunStatistics()
         self._statistics.faults.add(stream.faults)
-        self._statistics.faults.add(contradiction_faults(opened.unused_imu, is_handled=True))
+        handled = contradiction_faults(opened.unused_imu, is_handled=True)
+        self._statistics.faults.add((*handled, *zoom_faults(opened.known.focal_lengths)))
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
-        self._refresh_took = 0.0
-        self._start_up_ms = 0.0
+        self._refresh_took = self._start_up_ms = 0.0
         self._scale = RunScale(opened.scale)
         self._is_warned = False  # that results are incomplete
 

@@ -10,15 +10,18 @@ import numpy as np
 
 from vo.base.config import Config, MasksConfig
 from vo.base.faults import FaultKind
+from vo.base.records.focal_length import FocalLength
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Estimate, Frame
 from vo.engine.rig.creation import AnyOdometry
+from vo.recordings.sources.sequence import ImageSequence
 from vo.recordings.sources.source import FrameStream, Recording
 from vo.runs.run_options import RunOptions
 
 # Lenses found to be wrong by more pixels at the image's edges have bent what was tracked before
 # (KITTI 06: 0.085 m by 11 px; 0.026 by 7.6). Those of KITTI's drive of 2011 are, by 7 px at most.
 _MIN_EDGE_PX = 8.0
+_ZOOM = FaultKind.FOCAL_LENGTH_CHANGE
 _MIN_CONTRAST_RATIO = 3.0  # of right images to left ones
 
 
@@ -57,20 +60,28 @@ class LeftCameraUseless(TrackAgain):
         super().__init__(f"the left images are too faint, from frame {frame} on or before")
 
 
+class FocalLengthChange(TrackAgain):
+    """The focal length changes: images have to be brought to a constant one."""
+
+
 class Known(NamedTuple):
     """What is known of a recording from earlier passes.
 
     Attributes:
         can_repeat: whether the frames can be read again.
         can_exchange: whether the cameras of a pair can change places.
+        can_follow: whether a focal length that changes can be followed.
         k1_error: of both lenses.
         is_exchanged: whether they have changed places.
+        focal_lengths: that were followed.
     """
 
     can_repeat: bool = False
     can_exchange: bool = False
+    can_follow: bool = False
     k1_error: float = 0.0
     is_exchanged: bool = False
+    focal_lengths: tuple[FocalLength, ...] = ()
 
 
 def known_at_first(stream: FrameStream, config: Config, options: RunOptions) -> Known:
@@ -80,7 +91,9 @@ def known_at_first(stream: FrameStream, config: Config, options: RunOptions) -> 
     # What describes images of camera 0: they would be those of the other one.
     files = {} if options.exports is None else options.exports.files
     is_bound = config.masks != MasksConfig() or options.save_map or any(files.values())
-    return Known(can_repeat, can_repeat and is_pair and not is_bound)
+    is_usual = isinstance(stream, ImageSequence) and len(stream.rig.cameras) <= 2
+    can_follow = can_repeat and is_usual and config.camera.focal != "constant"
+    return Known(can_repeat, can_repeat and is_pair and not is_bound, can_follow)
 
 
 def check_sensor(use: InertialUse | None, known: Known) -> None:
@@ -97,6 +110,8 @@ def watched(
     for estimate in odometry.track_all(frames):
         if known.can_repeat and known.k1_error == 0.0 and estimate.keyframes:
             _check_lenses(odometry, stream)
+        if known.can_follow and any(each.kind is _ZOOM for each in estimate.faults):
+            raise FocalLengthChange("the focal length changes")
         if can_exchange and any(each.kind is FaultKind.FAINT_IMAGES for each in estimate.faults):
             can_exchange = False  # asked once
             if _is_left_fogged(stream, estimate.frame_index):

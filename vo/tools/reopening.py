@@ -10,15 +10,18 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
+from vo.base.records.focal_length import FocalLength
 from vo.base.types import Floats, Mode
 from vo.outputs.report.run_folder import RunRecord
 from vo.outputs.results.folder import CAMERA
 from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.rescaling import at_constant_focal_length
+from vo.recordings.sources.sequence import ImageSequence
 from vo.recordings.sources.source import Recording
 
 
 def recording_of(record: RunRecord, source: str | None = None) -> Recording:
-    """Open the recording of a run, None for where it was.
+    """Open the recording of a run, None for where it was, with the focal length that it followed.
 
     Raises:
         SourceError: it is not there, or damaged.
@@ -26,7 +29,7 @@ def recording_of(record: RunRecord, source: str | None = None) -> Recording:
     summary = record.summary
     mode: Mode = "mono" if summary["mode"] == "mono" else "auto"
     estimated = str(record.path / CAMERA) if summary.get("estimated_camera") else None
-    return open_source(
+    stream = open_source(
         Path(str(summary["source"]) if source is None else source),
         format=str(summary["format"]),
         calibration=summary.get("calibration") or estimated,
@@ -34,6 +37,10 @@ def recording_of(record: RunRecord, source: str | None = None) -> Recording:
         topics=summary.get("topics", ()),
         right_offset_ns=summary.get("right_offset_ns"),
     )
+    focal = [FocalLength(**each) for each in summary.get("focal_lengths") or ()]
+    if focal and isinstance(stream, ImageSequence):
+        return at_constant_focal_length(stream, focal)
+    return stream
 
 
 class FramePose(NamedTuple):

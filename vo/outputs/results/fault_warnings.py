@@ -131,10 +131,11 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "to correct; the path is inaccurate: vo calibrate",
     ),
     FaultKind.FOCAL_LENGTH_CHANGE: (
-        "the focal length changed by {value:+.1%}: {frames}",
+        "the focal length changed by up to {value:+.1%} (zoom or autofocus) and was followed: the "
+        "images are used as at the longest one",
         "the focal length changed by {value:+.1%} or more during the recording (zoom, autofocus, "
         "or image stabilisation?), so that the path is wrong from there on: {frames}; switch zoom, "
-        "autofocus and stabilisation off",
+        "autofocus and stabilisation off, or try `camera.focal=slow`",
     ),
     FaultKind.CLOCK_SET_BACK: (
         "the clock of the stamps was set back by {size:.3g} s; the order of the log is used, and "

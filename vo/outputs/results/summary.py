@@ -13,6 +13,7 @@ from vo.base.failures import Failure
 from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation, are_doubtful
 from vo.base.records.estimated_camera import EstimatedCamera
+from vo.base.records.focal_length import FocalLength
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.records.metric_scale import (
     MetricScale,
@@ -99,6 +100,7 @@ class RunFacts:
     right_offset_ns: int | None = None
     opening_warnings: tuple[LoggedWarning, ...] = ()
     estimated_camera: EstimatedCamera | None = None
+    focal_lengths: tuple[FocalLength, ...] = ()  # that were followed
 
 
 class Segment(NamedTuple):

@@ -66,6 +66,7 @@ class ImageSequence:
             than one camera or depth.
         right_offset_ns: added to the stamps of right images before they were paired.
         image_stamps_ns: of each frame the times of its images; None with a common trigger.
+        rescale: applied to each frame, see `vo.recordings.sources.rescaling`.
     """
 
     def __init__(
@@ -100,6 +101,7 @@ class ImageSequence:
         self._depth = images.depth
         self._close = close
         self._next_frames: Callable[[], list[FrameImages] | None] | None = None
+        self.rescale: Callable[[Frame], Frame] | None = None
 
     def __len__(self) -> int:
         """Number of frames before slicing, including unreadable ones."""
@@ -192,7 +194,8 @@ class ImageSequence:
                 # Images of kind `recorded` may be uint16.
                 recorded = cast("tuple[Bytes | None, ...]", (left, *images))
                 stamps = None if self.image_stamps_ns is None else self.image_stamps_ns[index]
-                yield Frame(index, shot.stamp_ns, recorded, depth, path, stamps_ns=stamps)
+                frame = Frame(index, shot.stamp_ns, recorded, depth, path, stamps_ns=stamps)
+                yield frame if self.rescale is None else self.rescale(frame)
 
     def _names(self) -> list[str]:
         """What cam1 and the further cameras are called."""
