@@ -11,7 +11,6 @@ from typing import Any
 
 from vo.base.config import Config, MemoryConfig, dump_config
 from vo.base.errors import (
-    CalibrationError,
     ConfigError,
     NoCalibration,
     SourceError,
