@@ -21,6 +21,7 @@ from vo.base.images.given_images import (
     shown,
 )
 from vo.base.images.grey_stretch import Pixels, RunningStretch
+from vo.base.printable import counted
 from vo.base.types import Bytes, Camera, Floats32, Frame, Rig
 from vo.recordings.formats.calibration import Calibration, read_calibration
 
@@ -61,6 +62,8 @@ def rig_of(calibration: Calibration | Rig | str | Path, mode: str, *, has_depth:
         raise CalibrationError("mode is 'stereo', but the calibration has one camera only")
     if mode == "stereo" and has_depth:
         raise ConfigError("a pair of cameras does not use depth; leave mode or has_depth out")
+    if mode == "stereo":
+        rig = rig.first(2)
     if mode == "mono" or has_depth:
         rig = Rig(rig.cam0, has_depth=rig.has_depth or has_depth)
     return rig
@@ -130,20 +133,31 @@ class FrameInput:
         self._count = 0
         self._last_stamp_ns: int | None = None
 
-    def frame(self, stamp_ns: Any, left: Any, right: Any, depth: Any, mask: Any) -> Frame:
+    def frame(
+        self,
+        stamp_ns: Any,
+        left: Any,
+        right: Any,
+        depth: Any,
+        mask: Any,
+        further: Sequence[Any] = (),
+        stamps_ns: Sequence[Any] | None = None,
+    ) -> Frame:
         """The next frame, with copies of its images; see `vo.Odometry.track`.
 
         Raises:
             InputError: a value is of the wrong type, shape or size, or not later than the last.
         """
         stamp = self._stamp(stamp_ns)
-        images = self._images(left, right)
+        images = self._images(left, right) + self._further(further)
+        times = None if stamps_ns is None else self._times(stamp, stamps_ns)
         frame = Frame(
             self._count,
             stamp,
             images,
             None if depth is None else self._depth(depth),
             mask=None if mask is None else self._mask(mask),
+            stamps_ns=times,
         )
         self._count += 1
         self._last_stamp_ns = stamp
@@ -173,6 +187,32 @@ class FrameInput:
             self._stretch.update(pixels[0])
         images: list[Bytes | None] = [self._as_8_bits(each) for each in pixels]
         return (*images, None) if cam1 is not None and right is None else tuple(images)
+
+    def _further(self, given: Sequence[Any]) -> tuple[Bytes | None, ...]:
+        """The images of cameras 2, 3 and so on, all None if none is given."""
+        lenses = [each.camera for each in self._rig.further]
+        if given and len(given) != len(lenses):
+            raise InputError(
+                f"further has {len(given)} images, but the calibration has "
+                f"{counted(len(lenses), 'camera')} besides the first two"
+            )
+        return tuple(
+            None
+            if image is None
+            else self._as_8_bits(self._pixels(image, f"further[{number}]", lens))
+            for number, (image, lens) in enumerate(
+                zip(given or [None] * len(lenses), lenses, strict=True)
+            )
+        )
+
+    def _times(self, stamp_ns: int, given: Sequence[Any]) -> tuple[int, ...]:
+        count = len(self._rig.cameras)
+        if len(given) != count:
+            raise InputError(f"stamps_ns has {len(given)} times for {counted(count, 'camera')}")
+        times = tuple(stamp_of(each) for each in given)
+        if times[0] != stamp_ns:
+            raise InputError(f"stamps_ns begins with {times[0]}, but stamp_ns is {stamp_ns}")
+        return times
 
     def _pixels(self, value: Any, name: str, camera: Camera) -> Pixels:
         """A grey image of 8 or 16 bits, perhaps the given one itself."""

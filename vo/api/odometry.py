@@ -106,7 +106,15 @@ class Odometry:
         self._end = ""  # why no further frame is taken
 
     def track(
-        self, stamp_ns: int, left: Any, right: Any = None, depth: Any = None, mask: Any = None
+        self,
+        stamp_ns: int,
+        left: Any,
+        right: Any = None,
+        depth: Any = None,
+        mask: Any = None,
+        *,
+        further: Sequence[Any] = (),
+        stamps_ns: Sequence[int] | None = None,
     ) -> Estimate:
         """The pose of the next frame.
 
@@ -120,6 +128,8 @@ class Odometry:
                 where unknown.
             mask: (H, W) bool or uint8, nonzero where the left image may be used, beside the masks
                 of all frames (section `masks` of the settings).
+            further: images of cameras 2, 3 and so on of a rig, None where one is missing.
+            stamps_ns: times of all images by camera, where these have no common trigger.
 
         Raises:
             InputError: a value is of the wrong type, shape, size or order; the next call goes on.
@@ -127,7 +137,7 @@ class Odometry:
         """
         with self._lock:
             self._check_open()
-            frame = self._input.frame(stamp_ns, left, right, depth, mask)
+            frame = self._input.frame(stamp_ns, left, right, depth, mask, further, stamps_ns)
             if self._imu is not None:
                 self._imu.newest_frame_ns = frame.stamp_ns
             try:

@@ -14,7 +14,7 @@ from vo.base.config import Config
 from vo.base.failures import Failure, FailureReason
 from vo.base.geometry.transforms import inverse, orthonormalised
 from vo.base.records.calibration_errors import CalibrationErrors
-from vo.base.records.snapshot import Snapshot
+from vo.base.records.snapshot import FurtherImage, Snapshot
 from vo.base.scheduling import available_cores
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Estimate, Frame, PredictedPose, Rig, State
@@ -149,10 +149,22 @@ class RigOdometry:
         if self._newest is None:
             raise RuntimeError("no frame has been tracked yet")
         shown = make_snapshot(self._newest, self._map, None, has_moved=self._has_moved)
+        shown = replace(shown, view=replace(shown.view, further=self._further_images()))
         if shown.landmarks is None:
             return shown
         of_view = shown.landmarks.sightings[:: len(self._views.views)]
         return replace(shown, landmarks=replace(shown.landmarks, sightings=of_view))
+
+    def _further_images(self) -> tuple[FurtherImage, ...]:
+        """The views besides the first, of the newest frame."""
+        assert self._frame is not None
+        cam0_from_body, found = self._views.rectified.cam0_from_rectified, []
+        cameras = [view.camera for view in self._views.views]
+        for number, view in enumerate(self._views.views):
+            name = f"cam{view.camera}" + "_2" * (view.camera in cameras[:number])
+            image = self._frame.views[number].image0 if self._frame.used[number] else None
+            found.append(FurtherImage(name, image, cam0_from_body @ view.body_from_view))
+        return tuple(found[1:])
 
     def _process(self, pending: LazyFuture[RigFrame]) -> Estimate:
         self._locate(pending)

@@ -169,6 +169,7 @@ class Counters:
 
     def _title(self) -> str:
         kind = "rgbd" if self.rig.has_depth else "stereo" if self.rig.is_stereo else "mono"
+        kind = f"{len(self.rig.cameras)} cameras" if self.rig.further else kind
         return f"**{self.name}**, {kind}, {self.rig.cam0.width} x {self.rig.cam0.height} px\n"
 
 
