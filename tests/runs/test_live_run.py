@@ -192,6 +192,19 @@ def test_a_gap_of_the_stream_gets_no_poses(walk: Walk, tmp_path: Path) -> None:
     assert any("connection lost once" in warning for warning in summary.warnings)
 
 
+def test_a_stream_whose_images_change_size_ends_and_says_so(
+    walk: Walk, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    smaller = [image[:-16] for image in walk.left[20:]]
+    with served("http", walk.left[:20] + smaller, RATE_HZ) as server, pytest.raises(SourceError):
+        run(server.url, tmp_path, config=FAST, calibration=walk.mono, mode="mono")
+    found = summary_in(tmp_path)
+    assert (found["status"], found["trusted"]) == ("failed", False)
+    assert "the images are now" in found["error"]
+    assert f"what they gave is in {tmp_path}" in caplog.text
+    assert found["frames"] > 0 and (tmp_path / "trajectory.tum").is_file()
+
+
 def test_a_stream_without_images_ends_after_the_timeout(
     walk: Walk, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
