@@ -17,6 +17,7 @@ from vo.base.errors import (
     VoError,
 )
 from vo.base.extras import require
+from vo.base.geometry.rig_overlap import overlaps
 from vo.base.images.image_areas import split_cameras
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
@@ -57,6 +58,7 @@ from vo.runs.second_pass import (
 from vo.runs.zoom import follow_focal_length
 
 _log = logging.getLogger(__name__)
+_ALIKE = 0.5  # cosine of the angle between cameras that look the same way
 
 
 def run(
@@ -282,16 +284,23 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     for option in ("timeout_s", "duration_s", "record"):
         if getattr(options, option) is not None:
             raise SourceError(f"`{option}` is for live sources, and {source} is a recording")
-    return open_source(
-        source,
-        format=options.format,
-        calibration=options.calibration,
-        mode=options.mode,
-        topics=options.topics,
-        follow=options.follow,
-        right_offset_ns=options.right_offset_ns,
-        side_by_side=options.side_by_side,
+    opened = open_source(source, mode=options.mode, **_reading(options))
+    are_alike = bool((opened.rig.cam0_from_cams[:, 2, 2] > _ALIKE).all())
+    if options.mode != "auto" or are_alike or overlaps(opened.rig):
+        return opened
+    _log.warning(
+        "%s: by the calibration its %d cameras see nothing in common, so that only cam0 is used; "
+        "correct their poses if they do",
+        opened.name,
+        len(opened.rig.cameras),
     )
+    return open_source(source, mode="mono", **_reading(options))
+
+
+def _reading(options: RunOptions) -> dict[str, Any]:
+    """How a recording is opened, but for the mode."""
+    names = ("format", "calibration", "topics", "follow", "right_offset_ns", "side_by_side")
+    return {name: getattr(options, name) for name in names}
 
 
 def _open_live(address: LiveAddress, config: Config, options: RunOptions) -> FrameStream:

@@ -1,0 +1,48 @@
+"""`vo run` on recordings of several cameras."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vo
+from vo.recordings.sources.registry import open_source
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds in a room with a pair and two cameras that look to the rear."""
+    path = tmp_path_factory.mktemp("robot") / "robot"
+    return _render(path, "robot", "none,stagger=0.5", 0.6)
+
+
+def _render(path: Path, rig: str, effects: str, scale: float) -> Path:
+    settings = ["world=room", "motion=handheld", "seconds=2", "fps=10", "seed=3", f"scale={scale}"]
+    return vo.synth(path, camera=rig, effects=effects, overrides=settings)
+
+
+def test_all_cameras_are_used_and_have_their_poses(robot: Path, tmp_path: Path) -> None:
+    summary = vo.run(robot, tmp_path / "out")
+    assert summary.facts.mode == "rig" and summary.tracked == 20
+    assert vo.evaluate(tmp_path / "out", robot).ate.translation.rmse < 0.005
+    with (tmp_path / "out" / "cameras.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["camera"] for row in rows[:5]] == ["cam0", "cam1", "cam2", "cam3", "body"]
+    # The last camera is 20 ms late.
+    assert int(rows[3]["stamp_ns"]) - int(rows[0]["stamp_ns"]) == 20_000_000
+    rig = open_source(robot).rig
+    apart = [np.array([float(rows[i][axis]) for axis in ("tx", "ty", "tz")]) for i in (0, 1)]
+    distance = np.linalg.norm(rig.cam0_from_cams[1, :3, 3])
+    assert np.linalg.norm(apart[1] - apart[0]) == pytest.approx(distance, abs=0.03)
+
+
+def test_one_camera_where_none_sees_the_same(tmp_path: Path) -> None:
+    path = _render(tmp_path / "drone", "drone", "none", 0.5)
+    summary = vo.run(path, tmp_path / "out", imu=False)
+    assert summary.facts.mode == "mono"
+    found = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))["warnings"]
+    assert any("its 2 cameras see nothing in common, so that only cam0" in text for text in found)
