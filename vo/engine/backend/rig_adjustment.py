@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised, se3_exp
-from vo.base.types import Bools, Floats, Ints
-from vo.engine.backend.bundle import Bundle
+from vo.base.types import Bools, Floats
+from vo.engine.backend.bundle import Bundle, NormalEquations
 from vo.engine.backend.bundle_adjustment import well_observed
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Ties, WindowProblem
@@ -39,8 +39,7 @@ class AdjustedRig(NamedTuple):
         held: (B,) bodies that stayed where they were.
         point_ok: (M,) False for points with one observation, or behind a view at the end.
         metre: change of the length of a metre in the map.
-        onto_bodies: (6 K, 6 B) how the tangents of views change with those of bodies.
-        by_metre: (6 K,) how they change with the length of a metre; None where it is known.
+        ties: how the views are tied to the bodies.
     """
 
     world_from_cam: Floats
@@ -48,18 +47,18 @@ class AdjustedRig(NamedTuple):
     points: Floats
     point_ok: Bools
     metre: float
-    onto_bodies: Floats
-    by_metre: Floats | None
+    ties: Ties
 
     def information(self, by_views: Floats) -> tuple[Floats, float]:
         """That on the bodies, and on the length of a metre, by that on the views (6 K, 6 K)."""
-        onto = self.onto_bodies
-        on_bodies = onto.T @ by_views @ onto
-        if self.by_metre is None:
+        of_body = adjoint(inverse(self.ties.body_from_view))
+        on_bodies = _of_bodies(by_views, of_body, self.ties.views)
+        if self.ties.lever is None:
             return on_bodies, 0.0
-        free = np.flatnonzero(np.repeat(~self.held, 6))
-        coupling = (onto.T @ (by_views @ self.by_metre))[free]
-        own = float(self.by_metre @ by_views @ self.by_metre)
+        free, by_metre = np.flatnonzero(np.repeat(~self.held, 6)), _by_metre(self.ties)
+        coupled = by_views @ by_metre
+        coupling = _of_body(coupled, of_body, self.ties.views)[free]
+        own = float(by_metre @ coupled)
         inverse_free = np.linalg.pinv(on_bodies[np.ix_(free, free)], hermitian=True)
         return on_bodies, max(0.0, own - float(coupling @ inverse_free @ coupling))
 
@@ -77,9 +76,7 @@ def adjust_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> A
         return None
     _, depth = residuals(problem, poses, points)
     ok[problem.point[~(depth > 0)]] = False
-    onto = _adjoints(ties.body_from_view, ties.views, np.arange(len(held)), len(held))
-    by_metre = None if ties.lever is None else _by_metre(ties)
-    return AdjustedRig(poses, held, points, ok, state.metre, onto, by_metre)
+    return AdjustedRig(poses, held, points, ok, state.metre, ties)
 
 
 class _RigWindow:
@@ -100,7 +97,11 @@ class _RigWindow:
         fixed = ~np.repeat(moves, ties.views)
         weighted = replace(with_measured_noise(problem), fixed=fixed)
         self.bundle = Bundle(weighted, self.point_ok, config)
-        self._onto = self._columns(moves)
+        moving = np.flatnonzero(np.repeat(moves, ties.views))
+        self._of_body = adjoint(inverse(ties.body_from_view[moving]))
+        # The rows of the free bodies among those that move, and the column of the metre.
+        self._rows = np.flatnonzero(np.repeat((~self.held)[moves], 6))
+        self._by_metre = None if ties.lever is None else _by_metre(ties)
         self._prior = self._scale_prior()
 
     def poses(self, state: _State) -> Floats:
@@ -117,8 +118,7 @@ class _RigWindow:
         cost = self._cost(state)
         for _ in range(self._config.iterations):
             normal = self.bundle.normal_equations(self.poses(state))
-            hessian = self._onto.T @ normal.hessian @ self._onto
-            gradient = self._onto.T @ normal.gradient
+            hessian, gradient = self._reduced(normal)
             off = self._off(state)
             hessian[np.diag_indices_from(hessian)] += self._prior
             gradient += self._prior * off
@@ -141,18 +141,22 @@ class _RigWindow:
                 break
         return state
 
-    def _columns(self, moves: Bools) -> Floats:
-        """A: how the tangents of the moving views change with the variables."""
-        ties, number = self._ties, np.cumsum(~self.held) - 1
-        slots = np.where(self.held, -1, number)
-        onto = _adjoints(ties.body_from_view, ties.views, slots, len(self._free))
-        if ties.lever is not None:
-            onto = np.column_stack([onto, _by_metre(ties)])
-        return np.asarray(onto[np.repeat(np.repeat(moves, ties.views), 6)])
+    def _reduced(self, normal: NormalEquations) -> tuple[Floats, Floats]:
+        """Hessian and gradient of the variables."""
+        views, rows = self._ties.views, self._rows
+        hessian = _of_bodies(normal.hessian, self._of_body, views)[np.ix_(rows, rows)]
+        gradient = _of_body(normal.gradient, self._of_body, views)[rows]
+        if self._by_metre is None:
+            return hessian, gradient
+        coupled = normal.hessian @ self._by_metre
+        side = _of_body(coupled, self._of_body, views)[rows]
+        corner = float(self._by_metre @ coupled)
+        whole = np.block([[hessian, side[:, None]], [side[None], np.array([[corner]])]])
+        return whole, np.append(gradient, self._by_metre @ normal.gradient)
 
     def _scale_prior(self) -> Floats:
         """Information on single variables: keeps the scale of a new map, and what is known."""
-        prior = np.zeros(self._onto.shape[1])
+        prior = np.zeros(len(self._rows) + (self._ties.lever is not None))
         if self._ties.lever is None:
             return prior
         prior[-1] = self._ties.lever_information
@@ -190,11 +194,20 @@ def _by_metre(ties: Ties) -> Floats:
     return column.ravel()
 
 
-def _adjoints(body_from_view: Floats, views: int, slots: Ints, count: int) -> Floats:
-    """(6 K, 6 count) that takes tangents of bodies, by slot (-1: none), to those of views."""
-    onto = np.zeros((len(body_from_view), 6, count, 6))
-    of_body = adjoint(inverse(body_from_view))
-    for k, slot in enumerate(np.repeat(slots, views).tolist()):
-        if slot >= 0:
-            onto[k, :, slot] = of_body[k]
-    return onto.reshape(6 * len(body_from_view), 6 * count)
+def _of_bodies(by_views: Floats, of_body: Floats, views: int) -> Floats:
+    """A^T H A (6 B, 6 B) of H (6 K, 6 K), with the adjoints (K, 6, 6) of the views on their bodies.
+
+    In blocks: a dense A has hardly anything but zeros.
+    """
+    count = len(of_body)
+    blocks = by_views.reshape(count, 6, count, 6).transpose(0, 2, 1, 3)
+    blocks = of_body.swapaxes(1, 2)[:, None] @ blocks @ of_body[None]
+    bodies = count // views
+    summed = blocks.reshape(bodies, views, bodies, views, 6, 6).sum(axis=(1, 3))
+    return np.asarray(summed.transpose(0, 2, 1, 3).reshape(6 * bodies, 6 * bodies))
+
+
+def _of_body(by_views: Floats, of_body: Floats, views: int) -> Floats:
+    """A^T g (6 B,) of g (6 K,)."""
+    turned = np.einsum("kij,ki->kj", of_body, by_views.reshape(-1, 6))
+    return np.asarray(turned.reshape(-1, views, 6).sum(axis=1).ravel())

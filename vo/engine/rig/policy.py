@@ -7,22 +7,29 @@ from collections.abc import Sequence
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.geometry.quantiles import median
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.rig.frames import RigFrame
-from vo.engine.rig.tracked import RigTracked
+from vo.engine.rig.tracked import RigTracked, landmarks_per_view
 from vo.engine.tracking.keyframe_policy import Change, KeyframePolicy, median_parallax
 
 _MIN_OBSERVATIONS = 10  # of a view whose parallax counts
+_PARALLAX_QUANTILE = 0.25
+# Of several views some always lose much: relative to what a pair may lose.
+_LOST_RATIO = 0.8
 
 
 class RigKeyframePolicy:
-    """That of a pair, with the landmarks of all views, counted as if there were two."""
+    """That of a pair, with the landmarks of all views.
+
+    Views to the sides soon see another side of what is near; where landmarks stay in view that
+    alone needs no keyframe, so that the parallax of views that change less decides.
+    """
 
     def __init__(self, config: Config, views: int) -> None:
-        self._policy = KeyframePolicy(config.keyframes, config.tracking.max_landmarks)
-        self._ratio = 2.0 / views
+        most = config.tracking.max_landmarks
+        self._policy = KeyframePolicy(config.keyframes, most)
+        self._ratio = most / (views * landmarks_per_view(most, views))
 
     def needs_keyframe(
         self, local_map: LocalMap, last: Sequence[Keyframe], frame: RigFrame, tracked: RigTracked
@@ -38,8 +45,8 @@ class RigKeyframePolicy:
         counts = np.array([len(k.landmark) for k in last])
         change = Change(
             round(self._ratio * tracked.inliers),
-            round(self._ratio * float(counts[used].sum())),
-            median(np.array(parallax)) if parallax else 0.0,
+            round(self._ratio * _LOST_RATIO * float(counts[used].sum())),
+            float(np.quantile(parallax, _PARALLAX_QUANTILE)) if parallax else 0.0,
             1e-9 * (frame.stamp_ns - last[0].frame.stamp_ns),
         )
         return self._policy.needs_keyframe(change)

@@ -10,6 +10,13 @@ from vo.base.types import Floats
 from vo.engine.mapping.tracked_frame import Observations, TrackedFrame
 from vo.engine.rig.frames import RigFrame
 
+_MIN_LANDMARKS = 150  # aligned in each view
+
+
+def landmarks_per_view(total: int, views: int) -> int:
+    """Maximum number of landmarks aligned in a view, for about as many in all of them."""
+    return max(_MIN_LANDMARKS, total // views)
+
 
 @dataclass(frozen=True, eq=False)
 class RigTracked:

@@ -16,7 +16,7 @@ from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
 from vo.engine.rig.frames import RigFrame
 from vo.engine.rig.pose_fit import RigObservations, fit_rig
-from vo.engine.rig.tracked import LastRigFrame, RigTracked, unobserved
+from vo.engine.rig.tracked import LastRigFrame, RigTracked, landmarks_per_view, unobserved
 from vo.engine.tracking.landmark_alignment import LandmarkAligner
 from vo.engine.tracking.motion_model import ConstantVelocity
 from vo.engine.tracking.pose_estimation import PoseEstimator
@@ -25,8 +25,6 @@ from vo.engine.tracking.visibility import Visible, outside, visible_landmarks
 
 _MIN_SPARSE_RATIO = 0.5  # of the last frame's inliers, that confirms a pose at once
 _ALIGNED_VIEWS = 2  # views with the most landmarks that are tried by sparse image alignment
-_LANDMARKS = 1000  # aligned in all views together, at least in each the second number
-_MIN_LANDMARKS = 150
 
 
 class RigTracker:
@@ -55,8 +53,7 @@ class RigTracker:
         self._scale_factor = frontend.scale_factor
         self._aligner = LandmarkAligner(local_map, frontend, config.min_inliers)
         self._estimator = PoseEstimator(local_map, 1.0, config)
-        views = len(body_from_views)
-        self._most = max(_MIN_LANDMARKS, min(config.max_landmarks, _LANDMARKS) // views)
+        self._most = landmarks_per_view(config.max_landmarks, len(body_from_views))
 
     def restart(self, frame: RigFrame, tracked: RigTracked) -> None:
         """Begin at a frame that a new map was made of, with unknown velocity."""
