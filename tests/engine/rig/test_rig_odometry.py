@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from rig_walks import Walk, ate, edited, track
 
+import vo
 from vo.base.faults import FaultKind
-from vo.base.types import Frame, Rig
+from vo.base.types import Frame
 
 
 def test_four_cameras_give_the_metric_path(walk: Walk) -> None:
@@ -79,4 +80,14 @@ def test_all_black_frames_are_lost_and_found_again(walk: Walk) -> None:
     assert [e.frame_index for e in estimates if not e.state.has_pose] == [15, 16, 17]
     assert {e.segment for e in estimates} == {0}
     assert ate(path, walk.truth) < 0.003
-    assert isinstance(walk.rig, Rig)
+
+
+def test_a_program_gives_the_images_of_all_cameras(walk: Walk) -> None:
+    _, path = track(walk.rig, walk.frames[:8])
+    overrides = ["memory.loops=false"]
+    with vo.Odometry(walk.rig, overrides=overrides) as odometry:
+        for frame in walk.frames[:8]:
+            left, right, *further = frame.images
+            odometry.track(frame.stamp_ns, left, right, further=further)
+    assert np.array_equal(odometry.trajectory().world_from_cam, path.world_from_cam)
+    assert odometry.summary().facts.mode == "rig"
