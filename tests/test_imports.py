@@ -82,7 +82,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         | {"focal_adjustment", "keyframe_tracking", "readout"},
         {"run_options", "run_scale", "run_summary"},
         {"camera_estimation", "camera_poses", "second_pass", "zoom"},
-        {"run_session"},
+        {"pair_estimation", "run_session"},
         {"run_recording"},
         {"batch"},
     ),

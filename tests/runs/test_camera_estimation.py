@@ -82,7 +82,7 @@ def test_a_camera_that_only_turns_shows_no_focal_length(tmp_path: Path) -> None:
         assert "Traceback" not in text
 
 
-def test_a_pair_without_calibration_is_refused_as_before(
+def test_a_pair_is_estimated_where_its_baseline_is_given(
     images: tuple[Path, Path], tmp_path: Path
 ) -> None:
     folder, whole = images
@@ -92,3 +92,19 @@ def test_a_pair_without_calibration_is_refused_as_before(
     status, text, _ = run_on(pair, tmp_path / "out")
     assert status == 1
     assert "no calibration found" in text
+    assert "--set camera.baseline_m=0.12" in " ".join(text.split())
+    rig = read_calibration(whole / "calibration.yaml").rig
+    assert rig.cam1 is not None and rig.cam1_from_cam0 is not None
+    baseline_m = float(np.linalg.norm(rig.cam1_from_cam0[:3, 3]))
+    options = ("--no-loops", "--set", f"camera.baseline_m={baseline_m}")
+    status, text, summary = run_on(pair, tmp_path / "out", *options)
+    assert status == 0, text
+    assert summary["mode"] == "stereo"
+    assert summary["trusted"] is True
+    found = read_calibration(tmp_path / "out" / "estimated_calibration.yaml").rig
+    assert found.cam1 is not None and found.cam1_from_cam0 is not None
+    assert found.cam1.fx == pytest.approx(rig.cam1.fx, rel=0.02)
+    error = found.cam1_from_cam0[:3, :3] @ rig.cam1_from_cam0[:3, :3].T
+    assert np.degrees(np.linalg.norm(cv2.Rodrigues(error)[0])) < 0.5
+    result = CliRunner().invoke(app, ["eval", str(tmp_path / "out"), str(whole), "--json"])
+    assert json.loads(result.stdout)["ate"]["translation_m"]["rmse"] < 0.05

@@ -258,6 +258,12 @@ class CameraConfig(Section):
         description="focal length: constant; slow: follow zoom and autofocus of a recording, which "
         "is tracked several times; auto: slow where a change is noticed",
     )
+    baseline_m: float | None = Field(
+        None,
+        gt=0,
+        le=100,
+        description="distance of both cameras of a pair without calibration, which is estimated",
+    )
     readout_s: float | None = Field(
         None,
         ge=0,

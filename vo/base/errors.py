@@ -35,6 +35,10 @@ class NoCalibration(CalibrationError):
     """A recording of one camera has no calibration, which its images may show."""
 
 
+class NoPairCalibration(CalibrationError):
+    """A recording of a pair has no calibration; with a known baseline its images may show it."""
+
+
 class ModelError(VoError):
     """A file of learned weights is missing, damaged or of another kind."""
 

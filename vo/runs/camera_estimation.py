@@ -79,6 +79,12 @@ def open_estimated(
         file = Path(folder, "calibration.yaml")
         write_calibration(file, Rig(camera), imu=imu)
         opened = open_source(source, calibration=file, mode="mono", **opening)  # type: ignore[arg-type]
+    warn_of_estimate(found)
+    return opened, found
+
+
+def warn_of_estimate(found: EstimatedCamera) -> None:
+    """Say what was found, and how certain it is."""
     if found.is_uncertain:
         _log.warning(
             "the camera was estimated without a calibration, and its motion hardly shows the focal "
@@ -92,7 +98,6 @@ def open_estimated(
             "as good as these, and a calibration is better: vo calibrate",
             found.in_words,
         )
-    return opened, found
 
 
 def estimate_camera(
@@ -128,6 +133,15 @@ def estimate_camera(
         lens, sigma = told, hint.sigma_px
     found = EstimatedCamera(lens.focal, round(sigma, 3), *lens[1:], len(path), hint.told_by)
     return search.camera(lens), found, path
+
+
+def same_lens(
+    stream: Recording, config: Config, options: RunOptions, camera: Camera, hint: CameraHint
+) -> Camera:
+    """The other camera of a pair, whose lens is nearly that of this one."""
+    search = _Search(stream, config, options, hint)
+    k1, k2 = camera.distortion[:2] if camera.distortion else (0.0, 0.0)
+    return search.camera(search.converged(Lens(camera.fx, *search.middle, k1, k2))[0].lens)
 
 
 class _Search:

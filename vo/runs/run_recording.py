@@ -13,6 +13,7 @@ from vo.base.config import Config, MemoryConfig, dump_config
 from vo.base.errors import (
     ConfigError,
     NoCalibration,
+    NoPairCalibration,
     SourceError,
     VoError,
 )
@@ -269,6 +270,12 @@ def _open_or_estimate(
         from vo.runs.camera_estimation import open_estimated
 
         return open_estimated(str(source), config, options, missing)
+    except NoPairCalibration as missing:
+        if config.camera.baseline_m is None or options.follow:
+            raise
+        from vo.runs.pair_estimation import open_estimated_pair
+
+        return open_estimated_pair(str(source), config, options, missing)
 
 
 def _open(source: str | Path | FrameStream, config: Config, options: RunOptions) -> FrameStream:

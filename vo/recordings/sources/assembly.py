@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vo.base.errors import CalibrationError, NoCalibration, SourceError, VoError
+from vo.base.errors import CalibrationError, NoCalibration, NoPairCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
 from vo.base.types import Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import (
@@ -97,7 +97,8 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     except NoCalibration as error:
         if contents.right is None or mode == "mono":
             raise
-        raise CalibrationError(str(error)) from error
+        advice = "or the cameras' distance in metres, `camera.baseline_m=0.12`, to estimate them"
+        raise NoPairCalibration(f"{error}; {advice}") from error
     size = usual_size(contents.left, size, calibration.rig.cam0)
     check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
