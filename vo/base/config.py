@@ -255,14 +255,10 @@ class CameraConfig(Section):
 
     focal: Literal["auto", "constant", "slow"] = Field(
         "auto",
-        description="focal length: constant; slow: follow zoom and autofocus of a recording, which "
-        "is tracked several times; auto: slow where a change is noticed",
+        description="slow: zoom and autofocus are followed; auto: where a change is noticed",
     )
     baseline_m: float | None = Field(
-        None,
-        gt=0,
-        le=100,
-        description="distance of both cameras of a pair without calibration, which is estimated",
+        None, gt=0, le=100, description="distance of both cameras of a pair without calibration"
     )
     readout_s: float | None = Field(
         None,
