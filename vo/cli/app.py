@@ -117,7 +117,7 @@ def _vo(
 
 COMMANDS = {
     "Start here": ("demo", "info", "run"),
-    "Results": ("view", "eval", "report", "compare", "map", "render", "video", "dense"),
+    "Results": ("view", "eval", "report", "compare", "map", "render", "video", "dense", "export"),
     "Recordings and cameras": ("calibrate", "convert", "synth", "batch", "sweep", "warmup"),
     "Features, markers and objects": (
         *("match", "features", "panorama", "markers", "recognize", "models", "vocabulary"),

@@ -81,9 +81,12 @@ class DenseFiles:
     )
     las: Path | None = option("Write the cloud as .las or .laz, too.", default=None, metavar="FILE")
     nerfstudio: Path | None = option(
-        "Write undistorted images, the cloud and transforms.json, for NeRFs and splats.",
+        "Write undistorted images, masks, the cloud and transforms.json, for NeRFs and splats.",
         default=None,
         metavar="DIR",
+    )
+    colmap: Path | None = option(
+        "The same as a COLMAP model, with the cloud as points.", default=None, metavar="DIR"
     )
     rrd: Path | None = option("Write cloud and mesh for rerun.", default=None, metavar="FILE")
 
@@ -98,7 +101,7 @@ class DenseFiles:
         kinds = not self.no_mesh, not self.no_grid
         lengths = chosen.edge, chosen.far, chosen.segment
         band = chosen.heights()
-        others = self.las, self.nerfstudio, self.rrd
+        others = self.las, self.nerfstudio, self.colmap, self.rrd
         return DenseOptions(*lengths, *kinds, chosen.cell, band, self.depth, *others)
 
 

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 import vo
@@ -72,7 +73,13 @@ def test_two_cameras(room: Path, stereo: Path, tmp_path: Path) -> None:
     posed = read_nerf_poses(tmp_path / "nerf" / "transforms.json")
     assert len(posed) == done.keyframes
     assert len(list((tmp_path / "nerf" / "images").iterdir())) == done.keyframes
+    voxels = np.load(tmp_path / "out" / "voxels.npz")
+    centres = (voxels["occupied"] + 0.5) * voxels["edge"]
     summary = json.loads((tmp_path / "out" / "dense.json").read_text())
+    ground = np.array(summary["ground_from_world"])
+    assert (voxels["ground_from_world"] == ground).all()
+    placed = cloud["xyz"] @ ground[:3, :3].T + ground[:3, 3]
+    assert cKDTree(centres).query(placed)[0].max() < 0.87 * voxels["edge"] + 1e-4
     assert summary["points"] == done.points and len(summary["ground_from_world"]) == 4
 
 
@@ -154,6 +161,25 @@ def test_the_command_and_the_report(stereo: Path, tmp_path: Path) -> None:
     with (run / "poses.csv").open("a") as file:  # a later run into the same folder
         file.write("\n")
     assert 'alt="Cloud of points' not in vo.report(run, images=False).read_text()
+
+
+def test_an_export_with_masks_and_a_colmap_model(room: Path, tmp_path: Path) -> None:
+    pycolmap = pytest.importorskip("pycolmap")
+    vo.run(room, tmp_path / "run", imu=False, end=20, overrides=["masks.ignore=0,100,320,100"])
+    folders = ["--nerfstudio", str(tmp_path / "nerf"), "--colmap", str(tmp_path / "colmap")]
+    result = CliRunner().invoke(app, ["export", str(tmp_path / "run"), *folders])
+    assert result.exit_code == 0, result.output
+    frames = json.loads((tmp_path / "nerf" / "transforms.json").read_text())["frames"]
+    mask = cv2.imread(str(tmp_path / "nerf" / frames[0]["mask_path"]), cv2.IMREAD_GRAYSCALE)
+    assert not mask[101:].any() and mask[:80].mean() > 200
+    model = pycolmap.Reconstruction(str(tmp_path / "colmap" / "sparse" / "0"))
+    names = {image.name for image in model.images.values()}
+    assert names == {Path(each["file_path"]).name for each in frames}
+    assert {path.name for path in (tmp_path / "colmap" / "images").iterdir()} == names
+    assert {path.stem for path in (tmp_path / "colmap" / "masks").iterdir()} == names
+    assert len(model.points3D) == len(points_of(tmp_path / "nerf" / "cloud.ply")) > 1000
+    nothing = CliRunner().invoke(app, ["export", str(tmp_path / "run")])
+    assert nothing.exit_code == 1 and "--nerfstudio DIR or --colmap DIR" in nothing.output
 
 
 def test_a_run_that_goes_on_to_its_cloud(room: Path, tmp_path: Path) -> None:

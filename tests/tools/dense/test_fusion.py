@@ -13,6 +13,7 @@ from vo.tools.dense.agreement import confirmed
 from vo.tools.dense.cloud import Cloud, CubeCloud
 from vo.tools.dense.depth import even_depth
 from vo.tools.dense.ground import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, find_ground
+from vo.tools.dense.posed_images import moving_mask, sharp, sharpness_of
 from vo.tools.dense.surface import DistanceField
 from vo.tools.dense.sweep import swept_depth
 
@@ -46,17 +47,19 @@ NORMAL = np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])
 def test_depth_that_others_see_is_kept_and_what_they_look_through_is_not() -> None:
     maps = [even_depth(plane_seen(each, NORMAL, 3.0), SIGMA) for each in POSES]
     others = [(maps[k], POSES[k]) for k in (0, 1, 3, 4)]
-    kept = confirmed(maps[2], POSES[2], others, RIG.intrinsics, 1)
+    kept, _ = confirmed(maps[2], POSES[2], others, RIG.intrinsics, 1)
     assert np.count_nonzero(kept) > 0.95 * kept.size
     # The nearest pixel of another view is up to half a pixel away on the slanted plane.
     error = np.abs(kept - maps[2].inverse)[kept > 0]
     assert np.median(error) < 2e-4 and error.max() < SIGMA
     moved = maps[2].inverse.copy()
     moved[40:80, 60:100] = 1.0 / 1.8  # a thing that only this image shows
-    kept = confirmed(even_depth(moved, SIGMA), POSES[2], others, RIG.intrinsics, 1)
+    kept, contradicted = confirmed(even_depth(moved, SIGMA), POSES[2], others, RIG.intrinsics, 1)
     assert not kept[40:80, 60:100].any() and np.mean(kept[:40] > 0) > 0.9
-    assert not confirmed(maps[2], POSES[2], [], RIG.intrinsics, 1).any()
-    assert not confirmed(maps[2], POSES[2], others[:1], RIG.intrinsics, 2).any()
+    hidden = moving_mask(contradicted) == 0
+    assert hidden[42:78, 62:98].mean() > 0.9 and not hidden[:20].any()
+    assert not confirmed(maps[2], POSES[2], [], RIG.intrinsics, 1)[0].any()
+    assert not confirmed(maps[2], POSES[2], others[:1], RIG.intrinsics, 2)[0].any()
 
 
 def test_points_and_normals_of_a_plane_are_exact() -> None:
@@ -181,3 +184,12 @@ def test_cells_are_free_as_far_as_a_wall_and_unknown_behind() -> None:
     assert (at(1.0, 0.05), at(2.5, 0.5), at(3.05, 0.0)) == (FREE, FREE, OCCUPIED)
     assert (at(3.5, 0.0), at(1.0, 1.5)) == (UNKNOWN, UNKNOWN)
     assert all(at(3.05, y) == OCCUPIED for y in np.arange(-0.95, 0.95, 0.05))
+
+
+def test_images_blurred_beside_their_neighbours_are_left_out() -> None:
+    assert sharp([100, 90, 30, 95, 110, 40, 38, 36, 35]) == [True, True, False, *6 * [True]]
+    assert sharp([]) == []
+    image = view_of_plane(np.eye(4), NORMAL, 2.0)
+    weak = (0.5 * image).astype(np.uint8)
+    values = [sharpness_of(each) for each in (image, weak, cv2.GaussianBlur(image, (0, 0), 2))]
+    assert sharp(values) == [True, True, False]

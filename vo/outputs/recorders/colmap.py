@@ -136,7 +136,7 @@ class ColmapRecorder(MapRecorder):
 
     def _refuse_foreign_files(self) -> None:
         models, images = self._models(), self._folder / _IMAGES
-        foreign = [each for each in models if each.is_symlink() or not _is_own_model(each)]
+        foreign = [each for each in models if each.is_symlink() or not is_own_model(each)]
         foreign += [each for each in (images, self._folder / _MODELS) if each.is_symlink()]
         if not models and images.is_dir() and any(images.iterdir()):
             foreign = [images]
@@ -149,7 +149,7 @@ class ColmapRecorder(MapRecorder):
     def _remove_models(self, from_number: int) -> None:
         """Remove models of an earlier run or moment."""
         for old in self._models():
-            if int(_number(old)) >= from_number and _is_own_model(old):
+            if int(_number(old)) >= from_number and is_own_model(old):
                 shutil.rmtree(old)
 
     def _write_model(self, folder: Path, model: Model) -> None:
@@ -175,7 +175,7 @@ def _number(folder: Path) -> str:
     return folder.name.removesuffix(_PARTIAL_SUFFIX)
 
 
-def _is_own_model(folder: Path) -> bool:
+def is_own_model(folder: Path) -> bool:
     """Whether a model was written here: text files, without the comment that COLMAP begins with."""
     if not {each.name for each in folder.iterdir()} <= {*MODEL_FILES, *RIG_FILES}:
         return False

@@ -127,6 +127,12 @@ class ModelWriter:
                 f"{number + 1} {x} {y} {z} {level} {level} {level} {error:.4f} {track}\n"
             )
 
+    def add_cloud(self, xyz: Floats, rgb: Bytes) -> None:
+        """Add points (N, 3) with colours (N, 3) that no image is said to observe."""
+        rows = zip(xyz.tolist(), rgb.tolist(), strict=True)
+        for number, ((x, y, z), (r, g, b)) in enumerate(rows, start=1):
+            self._points.write(f"{number} {x:.6g} {y:.6g} {z:.6g} {r} {g} {b} 0\n")
+
     def close(self) -> None:
         """Close the files."""
         try:

@@ -9,7 +9,7 @@ import numpy as np
 from vo.base.compiling.function import compiled
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse
-from vo.base.types import Floats, Floats32
+from vo.base.types import Bytes, Floats, Floats32
 from vo.tools.dense.depth import DepthMap
 
 _MAX_SIGMAS = 3.0  # between depths of one surface
@@ -21,20 +21,24 @@ def confirmed(
     others: Sequence[tuple[DepthMap, Floats]],
     camera: Intrinsics,
     min_views: int,
-) -> Floats32:
+) -> tuple[Floats32, Bytes]:
     """Inverse depths (H, W) that other keyframes confirm, weighted means with theirs; else 0.
+
+    And 1 where two or more others look through what is seen, and none sees it, else 0.
 
     A depth is confirmed if at least `min_views` others see the surface where it says, and more of
     them than look through it, as they do where something has moved.
     """
     if not others:
-        return np.zeros_like(depth.inverse)
+        return np.zeros_like(depth.inverse), np.zeros(depth.inverse.shape, np.uint8)
     maps = np.stack([each.inverse for each, _ in others])
     sigmas = np.stack([each.sigma for each, _ in others])
     moves = np.stack([inverse(pose) @ world_from_cam for _, pose in others])
     own = np.ascontiguousarray(depth.inverse), depth.sigma
-    found = _confirmed(*own, maps, sigmas, moves, np.array(camera, np.float64), min_views)
-    return np.asarray(found, dtype=np.float32)
+    found, contradicted = _confirmed(
+        *own, maps, sigmas, moves, np.array(camera, np.float64), min_views
+    )
+    return np.asarray(found, dtype=np.float32), np.asarray(contradicted, dtype=np.uint8)
 
 
 @compiled
@@ -46,7 +50,7 @@ def _confirmed(inverse, sigma, maps, sigmas, moves, camera, min_views):  # type:
     """
     rows, columns = inverse.shape
     fx, fy, cx, cy = camera
-    result = np.zeros_like(inverse)
+    result, contradicted = np.zeros_like(inverse), np.zeros(inverse.shape, np.uint8)
     for v in range(rows):
         for u in range(columns):
             w = inverse[v, u]
@@ -85,4 +89,6 @@ def _confirmed(inverse, sigma, maps, sigmas, moves, camera, min_views):  # type:
                         total += other / s**2
             if agree >= min_views and agree > against:
                 result[v, u] = total / weight
-    return result
+            elif against >= 2 and agree == 0:
+                contradicted[v, u] = 1
+    return result, contradicted

@@ -50,7 +50,8 @@ def densify(
     """
     options = options or DenseOptions()
     options.check()
-    named = [Path(each) for each in (options.las, options.nerfstudio, options.rrd) if each]
+    others = options.las, options.nerfstudio, options.colmap, options.rrd
+    named = [Path(each) for each in others if each]
     refuse_to_overwrite([Path(run)], named)
     record = read_run(Path(run))
     keyframes = RunKeyframes(record, None if source is None else str(source), options.segment)
@@ -75,7 +76,7 @@ def _fingerprint(record: RunRecord, keyframes: RunKeyframes) -> str:
     """Of everything that depths depend on."""
     digest = sha256(keyframes.world_from_cam.tobytes())
     digest.update(repr((keyframes.frames, keyframes.rig.intrinsics)).encode())
-    digest.update(str(record.summary["source"]).encode())
+    digest.update(str(record.summary["source"]).encode() + record.config.encode())
     return digest.hexdigest()[:16]
 
 
@@ -92,10 +93,14 @@ def _estimate(keyframes: RunKeyframes, store: DepthStore) -> Iterator[int]:
         images = window[middle]
         if is_single:
             seen = [(each.left, each.world_from_cam) for each in window]
-            return swept_depth(seen[middle], seen[:middle], seen[middle + 1 :], rig)
-        if images.depth is not None:
-            return measured_depth(images, rig)
-        return matchers[worker](images)
+            found = swept_depth(seen[middle], seen[:middle], seen[middle + 1 :], rig)
+        elif images.depth is not None:
+            found = measured_depth(images, rig)
+        else:
+            found = matchers[worker](images)
+        if images.mask is not None:
+            found.inverse[~images.mask] = 0
+        return found
 
     reach = REACH if is_single else 0
     windows = _windows(keyframes.images(max(missing[0] - reach, 0)), reach)

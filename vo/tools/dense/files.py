@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from vo.tools.drawing import write_picture
 _POINT = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _FACE = np.dtype([("n", "u1"), ("rows", "<i4", 3)])
-_OPENGL_FROM_CV = np.diag([1.0, -1.0, -1.0, 1.0])
 _LAS_RGB_FORMAT, _LAS_VERSION = 2, "1.2"
 LAS_SUFFIXES = (".las", ".laz")
 _PICTURE_PX, _MARGIN_PX = 900, 20
@@ -108,6 +106,19 @@ def write_grid(folder: Path, grid: Grid, comment: str) -> list[Path]:
     return [picture, description]
 
 
+def write_voxels(path: Path, points: Floats, edge: float, ground_from_world: Floats) -> None:
+    """Write the occupied voxels of points (N, 3) over the ground as `.npz`.
+
+    `occupied` (V, 3) int32 counts edges from the origin of the ground along x, y and z.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    occupied = np.unique(np.floor(points / edge).astype(np.int32), axis=0)
+    with writing(path), complete_file(path) as file:
+        np.savez_compressed(file, occupied=occupied, edge=edge, ground_from_world=ground_from_world)
+
+
 def write_views(folder: Path, points: Floats, rgb: Bytes, path: Floats) -> list[Path]:
     """Pictures of points (N, 3), z up, and a path (K, 3): from above, and from four sides.
 
@@ -143,37 +154,3 @@ def _view(
     drawn = np.round(line[:, :2] * scale + offset).astype(np.int32)
     cv2.polylines(picture, [drawn], False, _PATH_BGR, 2, cv2.LINE_AA)
     return np.ascontiguousarray(picture[::-1])
-
-
-def write_rrd(path: Path, name: str, cloud: Cloud, mesh: Mesh | None, centres: Floats) -> None:
-    """Write the cloud, the mesh and the path (K, 3) for rerun.
-
-    Raises:
-        OutputError: the file cannot be written.
-        MissingExtraError: it needs the extra `view`.
-    """
-    require("rerun", "view", "recordings for rerun")
-    from vo.outputs.recorders.dense_recording import record_dense
-
-    record_dense(path, name, (cloud.xyz, cloud.rgb), mesh, centres)
-
-
-def nerf_transforms(
-    size: tuple[int, int], camera: Floats, images: list[tuple[str, Floats]], unit: str, cloud: str
-) -> str:
-    """`transforms.json` of nerfstudio: `camera` fx, fy, cx, cy; images and their world_from_cam.
-
-    Its pixels have (0, 0) at the corner of the top-left pixel, its cameras y up and z back.
-    """
-    fx, fy, cx, cy = (float(value) for value in camera)
-    frames = [
-        {"file_path": name, "transform_matrix": (pose @ _OPENGL_FROM_CV).tolist()}
-        for name, pose in images
-    ]
-    content = {
-        "camera_model": "OPENCV",
-        **{"fl_x": fx, "fl_y": fy, "cx": cx + 0.5, "cy": cy + 0.5, "w": size[0], "h": size[1]},
-        **{"k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0},
-        **{"length_unit": unit, "ply_file_path": cloud, "frames": frames},
-    }
-    return json.dumps(content, indent=2) + "\n"

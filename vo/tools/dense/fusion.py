@@ -9,24 +9,29 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vo.base.errors import ConfigError, SourceError
+from vo.base.extras import require
 from vo.base.files.complete_file import complete_file, writing
 from vo.base.geometry.transforms import transform_points
-from vo.base.types import Floats, Floats32, Ints
+from vo.base.types import Bytes, Floats, Floats32, Ints
 from vo.outputs.report.run_folder import RunRecord
 from vo.tools.dense import files
 from vo.tools.dense.agreement import confirmed
-from vo.tools.dense.cloud import Cloud, CubeCloud
+from vo.tools.dense.cloud import CubeCloud
 from vo.tools.dense.depth import MAX_ERROR
 from vo.tools.dense.ground import Grid, OccupancyGrid, find_ground
 from vo.tools.dense.keyframes import KeyframeImages, RunKeyframes
+from vo.tools.dense.posed_images import PosedImages
 from vo.tools.dense.store import DepthStore
 from vo.tools.dense.surface import DistanceField
 from vo.tools.drawing import write_picture
+
+if TYPE_CHECKING:
+    from vo.outputs.recorders.dense_recording import DenseRecording
 
 NEIGHBOURS = 2  # keyframes before and after each that are compared with it
 WORKERS = 2  # threads
@@ -51,7 +56,8 @@ class DenseOptions:
             m, or a tenth of the camera's height to all of it without metres.
         depth: whether to write the depth of each keyframe, too, as `depth/FRAME.tiff`.
         las: file (.las, .laz) for the cloud, too.
-        nerfstudio: folder for undistorted images, the cloud and `transforms.json`.
+        nerfstudio: folder for undistorted images, masks, the cloud and `transforms.json`.
+        colmap: folder for the same images, masks, and a model as COLMAP has it.
         rrd: file for rerun.
     """
 
@@ -65,6 +71,7 @@ class DenseOptions:
     depth: bool = False
     las: Path | None = None
     nerfstudio: Path | None = None
+    colmap: Path | None = None
     rrd: Path | None = None
 
     def check(self) -> None:
@@ -133,8 +140,9 @@ class Fusion:
         self._edge = options.edge or _rounded(_EDGE_SHARE * min(median, self._far))
         self._cubes = CubeCloud(self._edge, keyframes.rig)
         self._field = DistanceField(self._edge, keyframes.rig) if options.mesh else None
+        self._recording = self._opened(options.rrd)
         self._known, self._pixels = 0, 0
-        self._posed: list[tuple[str, Floats]] = []  # images for nerfstudio
+        self._posed = PosedImages(keyframes.rig, options.nerfstudio, options.colmap)
 
     def _typical(self) -> tuple[float, float]:
         """Medians over keyframes of the depths, and of the errors of the farthest inverse ones."""
@@ -152,26 +160,42 @@ class Fusion:
             )
         return float(np.median(depths)), float(np.median(sigmas))
 
+    def _opened(self, path: Path | None) -> DenseRecording | None:
+        if path is None:
+            return None
+        require("rerun", "view", "recordings for rerun")
+        from vo.outputs.recorders.dense_recording import DenseRecording
+
+        rig = self._keyframes.rig
+        name = f"{self._record.summary['source']}; lengths in {self._record.unit}"
+        return DenseRecording(path, name, (rig.width, rig.height), rig.intrinsics, self._far)
+
     def add_all(self) -> Iterator[int]:
         """Add all keyframes; yields how many are done."""
         rows = iter(self._rows)
         with ThreadPoolExecutor(WORKERS) as pool:
-            waiting: dict[int, Future[Floats32]] = {}
+            waiting: dict[int, Future[tuple[Floats32, Bytes]]] = {}
             for done, (row, images) in enumerate(self._keyframes.images(), start=1):
                 for following in islice(rows, 2 * WORKERS - len(waiting)):
                     waiting[following] = pool.submit(self._depth_of, following)
                 if row in waiting:
-                    self._add(images, waiting.pop(row).result(), self._store.load(row).sigma)
+                    inverse, contradicted = waiting.pop(row).result()
+                    self._add(images, inverse, self._store.load(row).sigma)
+                    self._posed.add(images, contradicted)
                 yield done
 
-    def _depth_of(self, row: int) -> Floats32:
-        """Inverse depth (H, W) of a keyframe that others confirm: one, or two with one camera."""
+    def _depth_of(self, row: int) -> tuple[Floats32, Bytes]:
+        """Inverse depth (H, W) that others confirm, one, or two with one camera; where they do not.
+
+        See `confirmed`.
+        """
         rig, poses, store = self._keyframes.rig, self._keyframes.world_from_cam, self._store
         near = [k for k in self._rows if 0 < abs(k - row) <= NEIGHBOURS]
         others = [(store.load(k), poses[k]) for k in near]
         views = 1 if rig.is_metric else 2
-        found = confirmed(store.load(row), poses[row], others, rig.intrinsics, views)
-        return np.where(found > 1.0 / self._far, found, np.float32(0))
+        own = store.load(row), poses[row]
+        found, contradicted = confirmed(*own, others, rig.intrinsics, views)
+        return np.where(found > 1.0 / self._far, found, np.float32(0)), contradicted
 
     def _add(self, images: KeyframeImages, inverse: Floats32, sigma: Floats32) -> None:
         pose, rgb, options = images.world_from_cam, images.rgb, self._options
@@ -180,13 +204,11 @@ class Fusion:
         cubes = self._cubes.add(inverse, sigma, rgb, pose)
         if self._field is not None:
             self._field.add(inverse, rgb, pose, cubes)
+        depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
+        if self._recording is not None:
+            self._recording.add(images.frame, images.stamp_ns, pose, depth)
         if options.depth:
-            depth = np.divide(1.0, inverse, out=np.zeros_like(inverse), where=inverse > 0)
             write_picture(self._folder / "depth" / f"{images.frame:06d}.tiff", depth)
-        if options.nerfstudio is not None:
-            name = f"images/{images.frame:06d}.png"
-            write_picture(options.nerfstudio / name, np.ascontiguousarray(rgb[:, :, ::-1]))
-            self._posed.append((name, pose))
 
     def finish(self) -> Densified:
         """Write everything.
@@ -216,12 +238,12 @@ class Fusion:
         path = transform_points(ground.ground_from_world, centres)
         if options.grid:
             grid = self._grid(ground.ground_from_world, points)
-            written += files.write_grid(folder, grid, comment)
+            written += [*files.write_grid(folder, grid, comment), folder / "voxels.npz"]
+            files.write_voxels(written[-1], points, grid.edge, ground.ground_from_world)
         written += files.write_views(folder, points, cloud.rgb, path)
-        if options.nerfstudio is not None:
-            written += self._write_transforms(options.nerfstudio, cloud, comment)
-        if options.rrd is not None:
-            files.write_rrd(options.rrd, comment, cloud, mesh, centres)
+        written += self._posed.finish(cloud, unit, comment)
+        if self._recording is not None and options.rrd is not None:
+            self._recording.finish((cloud.xyz, cloud.rgb), mesh, centres)
             written.append(options.rrd)
         counts = len(self._rows), keyframes.segment, keyframes.segments
         coverage = round(self._known / max(self._pixels, 1), 4)
@@ -274,22 +296,12 @@ class Fusion:
 
     def _seen(self, row: int) -> tuple[Floats, Ints]:
         """Points (N, 3) in the camera of some pixels, and their columns."""
-        rig, inverse = self._keyframes.rig, self._depth_of(row)
+        rig, (inverse, _) = self._keyframes.rig, self._depth_of(row)
         v, u = np.nonzero(inverse[::_GRID_STEP, ::_GRID_STEP])
         z = 1.0 / inverse[v * _GRID_STEP, u * _GRID_STEP].astype(np.float64)
         x = (u * _GRID_STEP - rig.cx) / rig.fx
         y = (v * _GRID_STEP - rig.cy) / rig.fy
         return np.column_stack([x * z, y * z, z]), u.astype(np.int64)
-
-    def _write_transforms(self, folder: Path, cloud: Cloud, comment: str) -> list[Path]:
-        rig = self._keyframes.rig
-        written = [folder / "cloud.ply", folder / "transforms.json"]
-        files.write_cloud(written[0], cloud, comment)
-        size, camera = (rig.width, rig.height), np.array(rig.intrinsics)
-        text = files.nerf_transforms(size, camera, self._posed, self._record.unit, "cloud.ply")
-        with writing(written[1]), complete_file(written[1]) as file:
-            file.write(text.encode())
-        return written
 
 
 def _rounded(length: float) -> float:

@@ -9,11 +9,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from vo.base.config import load_config
 from vo.base.errors import ConfigError, SourceError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.rectification_maps import displaced_maps, wide_maps
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
-from vo.base.types import Bytes, Floats, Floats32, Frame
+from vo.base.images.recorded_masks import read_masks
+from vo.base.types import Bools, Bytes, Floats, Floats32, Frame
 from vo.outputs.report.run_folder import RunRecord
 from vo.recordings.sources.source import Recording
 from vo.tools.reopening import poses_of, recording_of
@@ -30,6 +32,7 @@ class KeyframeImages(NamedTuple):
         right: (H, W) grey, rows as in `left`; None with one camera.
         rgb: (H, W, 3) of `left`, grey if the recording is.
         depth: (H, W) that a depth camera measured, 0 where unknown; None without one.
+        mask: (H, W) whether `left` is used; None without masks.
     """
 
     frame: int
@@ -39,6 +42,7 @@ class KeyframeImages(NamedTuple):
     right: Bytes | None
     rgb: Bytes
     depth: Floats32 | None
+    mask: Bools | None
 
 
 class RunKeyframes:
@@ -66,6 +70,7 @@ class RunKeyframes:
         self.segments = len(counts)
         self._stream: Recording = recording_of(record, source)
         self.rig = _rig_of_run(self._stream, record)
+        self._mask = _mask_of_run(self._stream, record)
         to_pinhole = self.rig.cam0_from_rectified
         chosen = {k: pose for k, pose in sorted(poses.items()) if pose.segment == self.segment}
         self.frames = list(chosen)
@@ -91,7 +96,13 @@ class RunKeyframes:
         right = None if frame.image1 is None else rig.rectify(frame.image1, 1)
         depth = None if frame.depth is None else rig.rectify_depth(frame.depth)
         pair = _grey(left), None if right is None else _grey(right)
-        return KeyframeImages(frame.index, frame.stamp_ns, world_from_cam, *pair, _rgb(left), depth)
+        mask = None
+        for each in (self._mask, frame.mask):
+            if each is not None:
+                used = rig.rectify(each, 0) == 255
+                mask = used if mask is None else mask & used
+        moment = frame.index, frame.stamp_ns
+        return KeyframeImages(*moment, world_from_cam, *pair, _rgb(left), depth, mask)
 
 
 def _rig_of_run(stream: Recording, record: RunRecord) -> RectifiedRig:
@@ -110,6 +121,15 @@ def _rig_of_run(stream: Recording, record: RunRecord) -> RectifiedRig:
         rig = _without_distortion(rig)
     offset, curve = (float(summary.get(f"disparity_{k}_px") or 0.0) for k in ("offset", "curve"))
     return replace(rig, disparity_offset_px=offset, disparity_curve_px=curve)
+
+
+def _mask_of_run(stream: Recording, record: RunRecord) -> Bytes | None:
+    """(H, W) of the recorded images of camera 0, 0 where the run has not used them, or None."""
+    path = record.path / "config.yaml"
+    if not path.is_file():
+        return None
+    masks = load_config(path).masks
+    return read_masks(stream.rig, masks.files, masks.ignore, masks.roi)[0]
 
 
 def _without_distortion(rig: RectifiedRig) -> RectifiedRig:
