@@ -7,7 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from vo.base.records.metric_scale import MetricScale, ScaleFindings, choose_scales, without_metric
+from vo.base.records.metric_scale import (
+    MetricScale,
+    ScaleFindings,
+    ScaleSource,
+    choose_scales,
+    without_metric,
+)
 from vo.base.records.snapshot import Snapshot
 from vo.base.types import Estimate, Trajectory
 from vo.engine.map_alignment import MapAlignment
@@ -25,9 +31,10 @@ class RunScale:
     `findings` is None before, and without a source.
     """
 
-    def __init__(self, sources: ScaleSources) -> None:
+    def __init__(self, sources: ScaleSources, of_rig: Sequence[ScaleSource] = ()) -> None:
         self.findings: ScaleFindings | None = None
         self._sources = sources
+        self._all = (*sources.all, *of_rig)
         self._unscaled: Trajectory | None = None  # the path in units of the map
 
     @property
@@ -37,7 +44,7 @@ class RunScale:
 
     def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
         """Show a frame to the sources."""
-        for source in self._sources.all:
+        for source in self._all:
             source.observe(estimate, snapshot)
 
     def newest_markers(self) -> tuple[Sequence[MarkerView], Sequence[int]]:
@@ -55,11 +62,11 @@ class RunScale:
         Raises:
             OutputError: one of them cannot be written.
         """
-        if not self._sources.all or self.findings is not None:
+        if not self._all or self.findings is not None:
             return
         path = store.path()
         self._unscaled = path.trajectory
-        measured = [source.measure(path) for source in self._sources.all]
+        measured = [source.measure(path) for source in self._all]
         metric = store.metric
         found = choose_scales(measured)
         self.findings = without_metric(found, metric.by_map, metric.worlds_by_sensor)

@@ -133,7 +133,7 @@ class RunSession:
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = self._start_up_ms = 0.0
-        self._scale = RunScale(opened.scale)
+        self._scale = RunScale(opened.scale, odometry.scale_sources)
         self._is_warned = False  # that results are incomplete
 
     def run(self, frames: Iterator[Frame]) -> Summary:

@@ -22,6 +22,7 @@ def summarise_odometry(
         "map": map_alignment.map_use,
         "networks": tuple(network._asdict() for network in odometry.networks),
         "inertial": map_alignment.inertial,
+        "has_free_scale": not path.metric.by_cameras,
     }
     errors = odometry.calibration_errors
     return summarise(facts, status, statistics, path.path(), errors, **{**known, **found})

@@ -14,6 +14,7 @@ from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
 from data_synth.recipe import load_recipe
 from vo.base.config import load_config
+from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp
 from vo.base.types import Camera, Estimate, Floats, Frame, MountedCamera, Rig, Trajectory
 from vo.engine.rig.odometry import RigOdometry
@@ -43,6 +44,7 @@ def rig_at(*cam0_from_cams: Floats) -> Rig:
 
 
 FORWARD_PAIR_AND_SIDES = rig_at(at(0), at(0, 0.2), at(-70, -0.1, -0.15), at(70, 0.3, -0.15))
+BACK_TO_BACK = rig_at(at(0), at(180, 0, -0.3))
 
 
 def render(rig: Rig, folder: Path, settings: Sequence[str]) -> Walk:
@@ -73,13 +75,19 @@ def track(
 
 def ate(path: Trajectory, truth: Trajectory, *, with_scale: bool = False) -> float:
     """RMSE of the positions after alignment, in metres."""
+    return _aligned(path, truth, with_scale)[0]
+
+
+def scale_of(path: Trajectory, truth: Trajectory) -> float:
+    """Length of the true path relative to the estimated one."""
+    return _aligned(path, truth, True)[1]
+
+
+def _aligned(path: Trajectory, truth: Trajectory, with_scale: bool) -> tuple[float, float]:
     rows = np.searchsorted(truth.stamps_ns, path.stamps_ns)
-    a, b = truth.positions[rows], path.positions
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
-    u, s, vt = np.linalg.svd(a.T @ b)
-    sign = np.array([1.0, 1.0, np.linalg.det(u @ vt)])
-    scale = float((s * sign).sum() / (b**2).sum()) if with_scale else 1.0
-    return float(np.sqrt(((a - scale * b @ (u * sign @ vt).T) ** 2).sum(axis=1).mean()))
+    found = umeyama(path.positions, truth.positions[rows], with_scale=with_scale)
+    off = found.transform_points(path.positions) - truth.positions[rows]
+    return float(np.sqrt((off**2).sum(axis=1).mean())), found.scale
 
 
 def edited(frames: Iterable[Frame], edit: Callable[[Frame], Frame]) -> list[Frame]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from vo.base.config import Config
 from vo.base.errors import ConfigError
+from vo.base.geometry.rig_overlap import overlaps
 from vo.base.types import Rig
 from vo.engine.odometry import Odometry
 from vo.engine.stages import BUILT_IN, Components
@@ -31,7 +32,7 @@ def make_odometry(
         CalibrationError: the cameras cannot be rectified.
         ConfigError: a mask or a map cannot be used.
     """
-    if not rig.further:
+    if not (rig.further or (rig.cam1 is not None and not overlaps(rig))):
         return Odometry(rig, config, components, optimizer_process)
     if config.memory.map:
         raise ConfigError(

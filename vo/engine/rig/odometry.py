@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from subprocess import Popen
 from typing import Any
@@ -12,12 +12,15 @@ import numpy as np
 
 from vo.base.config import Config
 from vo.base.failures import Failure, FailureReason
-from vo.base.geometry.transforms import inverse, orthonormalised
+from vo.base.geometry.rig_overlap import overlaps
+from vo.base.geometry.transforms import interpolate, inverse, orthonormalised
 from vo.base.records.calibration_errors import CalibrationErrors
+from vo.base.records.metric_scale import MetricScale, ScaleFindings, ScaleSource
+from vo.base.records.posed_frames import PosedFrames
 from vo.base.records.snapshot import FurtherImage, Snapshot
 from vo.base.scheduling import available_cores
 from vo.base.stopwatch import Stopwatch, timed
-from vo.base.types import Estimate, Frame, PredictedPose, Rig, State
+from vo.base.types import Estimate, Floats, Frame, PredictedPose, Rig, State
 from vo.engine.backend.optimizer import make_optimizer
 from vo.engine.frontend.frontend import make_frontend
 from vo.engine.frontend.lazy_future import LazyFuture
@@ -25,11 +28,13 @@ from vo.engine.frontend.static_masks import recorded_masks
 from vo.engine.map_alignment import MapAlignment
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.mapping.tracked_frame import LastFrame
 from vo.engine.odometry import Odometry
 from vo.engine.rig.frames import RigFrame, RigPreprocessor
 from vo.engine.rig.mapper import RigMapper
 from vo.engine.rig.policy import RigKeyframePolicy
+from vo.engine.rig.starter import Metre, RigStarter
 from vo.engine.rig.tracked import RigTracked
 from vo.engine.rig.tracker import RigTracker
 from vo.engine.rig.views import rig_views
@@ -71,6 +76,7 @@ class RigOdometry:
         masks = recorded_masks(config.masks, rig)
         self.hidden = tuple(0.0 if m is None else float(np.mean(m == 0)) for m in masks)
         self._views = rig_views(rig, masks)
+        self._overlapping = overlaps(rig)
         count, rectified = len(self._views.views), self._views.rectified
         frontend = make_frontend(config, components.extractor, components.matcher)
         threads = config.threads or available_cores()
@@ -84,7 +90,13 @@ class RigOdometry:
         self._tracker = RigTracker(self._map, frontend, config.tracking, tied, self.stopwatch)
         self._optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
         parts = self._map, self._optimizer, config.smoothing, self.stopwatch
-        self._window = RigWindow(*parts, count, lambda: None)
+        self._window = RigWindow(*parts, count, self._unknown_lever)
+        self._instants = size.free + size.fixed
+        local_mapper = LocalMapper(self._map, frontend, config.mapping, self.stopwatch)
+        self._starter = RigStarter(self._map, local_mapper, frontend, config)
+        self.metre = Metre()
+        self.scale_sources: tuple[ScaleSource, ...] = ()
+        self._metres: dict[int, MetricScale] = {}  # by segment that began without a scale
         self._policy = RigKeyframePolicy(config, count)
         self._config = config
         self._state = State.STARTING
@@ -127,6 +139,7 @@ class RigOdometry:
         """Apply the last result of the optimizer; the time by stage that it took."""
         self.update_map()
         self._apply()
+        self._note_metre()
         return self.stopwatch.take()
 
     def close(self) -> None:
@@ -233,6 +246,7 @@ class RigOdometry:
     def _give_up(self) -> None:
         """Start a new segment."""
         self._apply()
+        self._note_metre()
         self._map.clear()
         self._tracker.last = None
         self._state, self._lost = State.STARTING, 0
@@ -240,21 +254,86 @@ class RigOdometry:
 
     @timed("start")
     def _start(self, frame: RigFrame) -> tuple[RigTracked | None, Keyframe | None, Failure | None]:
-        """A map from the views of one frame that overlap."""
-        self._map.clear()
-        tied, pose = self._tracker.body_from_views, self._tracker.motion.last
-        keyframe = self._mapper.add_first_instant(frame, pose, tied, self._segment)
+        """A map from the views of one frame that overlap, or from two frames of one camera."""
+        needed, pose = self._config.start.min_points, self._tracker.motion.last
+        self._set_metre(is_known=True)
+        self._mapper.add_first_instant(frame, pose, self._tracker.body_from_views, self._segment)
         self._mapper.extend(frame)
+        found = len(self._map)
+        if found < needed:
+            self._map.clear()
+            if self._overlapping:
+                return None, None, Failure(FailureReason.FEW_LANDMARKS, found, needed)
+            failure = self._start_by_motion(frame, pose)
+            if failure is not None:
+                return None, None, failure
+        keyframe = self._mapper.newest[0]
+        tracked = self._mapper.as_tracked(self._tracker.body_from_views)
+        self._state = State.TRACKING
+        self._starter.restart()
+        self._tracker.restart(frame, tracked)
+        self._trajectory.add_keyframe(keyframe)
+        if not self.metre.is_known:
+            self._window.submit()
+            self._apply()
+        return tracked, keyframe, None
+
+    def _start_by_motion(self, frame: RigFrame, pose: Floats) -> Failure | None:
+        """A map from two frames, in which the length of a metre is unknown."""
+        pair = self._starter.attempt(frame, self._tracker.body_from_views)
+        if isinstance(pair, Failure):
+            return pair
+        self._set_metre(is_known=False)
+        self.scale_sources = (self,)
+        tied = self._tracker.body_from_views
+        first = self._mapper.add_first_instant(pair.first, pose, tied, self._segment)
+        self._mapper.add_first_instant(frame, pose @ pair.motion, tied, self._segment)
+        self._mapper.newest[0].covariance = None
+        self._mapper.extend(frame, depth=1.0)
         needed = self._config.start.min_points
         if len(self._map) < needed:
             found = len(self._map)
             self._map.clear()
-            return None, None, Failure(FailureReason.FEW_LANDMARKS, found, needed)
-        tracked = self._mapper.as_tracked(tied)
-        self._state = State.TRACKING
-        self._tracker.restart(frame, tracked)
-        self._trajectory.add_keyframe(keyframe)
-        return tracked, keyframe, None
+            return Failure(FailureReason.FEW_LANDMARKS, found, needed)
+        self._trajectory.add_keyframe(first)
+        for n, each in enumerate(pair.between, 1):
+            guess = interpolate(pose, pose @ pair.motion, n / (len(pair.between) + 1))
+            tracked = self._tracker.refine(each, guess)
+            if tracked is not None:
+                self._trajectory.add_frame(each.views[0], first, tracked.world_from_body)
+        return None
+
+    def _set_metre(self, *, is_known: bool) -> None:
+        self.metre.restart(is_known=is_known)
+        self._trajectory.store.metric.by_cameras = is_known
+        self._place_views()
+
+    def _place_views(self) -> None:
+        """Place the views on the body, in units of the map."""
+        tied = self._views.body_from_views
+        tied[:, :3, 3] *= self.metre.length
+        self._tracker.body_from_views = tied
+
+    def _unknown_lever(self) -> tuple[Floats, float] | None:
+        """Translations (V, 3) of the views in metres, where a metre's length is unknown."""
+        if self.metre.is_known:
+            return None
+        return self._views.body_from_views[:, :3, 3], self.metre.information
+
+    def _note_metre(self) -> None:
+        """Keep the scale of a segment that began without one."""
+        if self.metre.is_known or not np.isfinite(self.metre.relative_sigma):
+            return
+        value = 1.0 / self.metre.length
+        sigma = value * self.metre.relative_sigma
+        self._metres[self._segment] = MetricScale(self._segment, value, sigma, "turns of the rig")
+
+    def observe(self, estimate: Estimate, snapshot: Callable[[], Snapshot]) -> None:
+        """See `ScaleSource.observe`; nothing is left to see."""
+
+    def measure(self, path: PosedFrames) -> ScaleFindings:
+        """The scales of segments that began without one; see `ScaleSource.measure`."""
+        return ScaleFindings(tuple(self._metres.values()))
 
     def _apply(self) -> None:
         """Apply the pending window, and move the tracker with its newest keyframe."""
@@ -262,6 +341,9 @@ class RigOdometry:
         if update is None:
             return
         self._trajectory.update(update.moved)
+        if not self.metre.is_known:
+            self.metre.update(*self._window.metre, self._instants)
+            self._place_views()
         self._mapper.cull()
         self._mapper.estimate_normals()
         count = len(self._views.views)

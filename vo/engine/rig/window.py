@@ -81,9 +81,16 @@ class RigWindow(SlidingWindow):
         for keyframe, pose in zip(window.keyframes, solution.world_from_cam, strict=True):
             keyframe.world_from_cam = pose
         motion = orthonormalised(newest.world_from_cam @ inverse(before))
+        ties = window.problem.ties
+        lever = None if ties is None else ties.lever
         later = [k for k in self._map.keyframes if k.id > window.keyframes[-1].id]
-        for keyframe in later:
-            keyframe.world_from_cam = orthonormalised(motion @ keyframe.world_from_cam)
+        for first in range(0, len(later), views):
+            body = later[first].world_from_cam
+            for view, keyframe in enumerate(later[first : first + views]):
+                tied = inverse(body) @ keyframe.world_from_cam
+                if lever is not None:
+                    tied[:3, 3] += solution.metre[0] * lever[view]
+                keyframe.world_from_cam = orthonormalised(motion @ body @ tied)
         update_covariances(window.keyframes[::views], solution)
         self.metre = solution.metre
         free = [

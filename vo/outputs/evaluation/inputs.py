@@ -178,7 +178,7 @@ def _summary_beside(estimate: Path) -> dict[str, Any]:
 def _modes(summary: dict[str, Any], estimate: Path) -> tuple[Mode, Mode]:
     """Modes of the estimate and of the causal path; `auto` for a mono path in metres."""
     mode = summary.get("mode")
-    if mode == "mono":
+    if mode == "mono" or summary.get("length_unit") == "map units":
         is_smoothed = estimate.name in _ESTIMATE_NAMES
         return "auto" if is_smoothed and summary.get("length_unit") == "m" else "mono", "mono"
     known: Mode = "stereo" if mode == "stereo" else "auto"

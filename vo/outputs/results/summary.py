@@ -64,7 +64,10 @@ _OPTIONAL = (
     *("earlier_session", "marker"),
 )
 # Fields that are no keys: reasons, warnings and faults tell them.
-LEFT_OUT = ("opening_warnings", "notes", "main_failure", "defect", "is_contradiction")
+LEFT_OUT = (
+    *("opening_warnings", "notes", "main_failure", "defect", "is_contradiction"),
+    "has_free_scale",
+)
 
 
 RunMode = Literal["mono", "stereo", "rgbd", "rig"]
@@ -161,11 +164,12 @@ class Summary:
     profile: Profile | None = None
     live: LiveState | None = None
     main_failure: Failure | None = None
+    has_free_scale: bool = False  # of cameras that have too little in common
 
     @property
     def is_metric(self) -> bool:
         """Whether every length is in metres: in mono, whether all segments have a scale."""
-        if self.facts.mode != "mono":
+        if self.facts.mode != "mono" and not self.has_free_scale:
             return True
         scales = {} if self.scale is None else self.scale.by_segment()
         upright = () if self.inertial is None else self.inertial.metric_worlds

@@ -105,6 +105,11 @@ def _world_warnings(summary: Summary) -> list[str]:
 
 def _unknown_scale(summary: Summary) -> str:
     known = {} if summary.scale is None else summary.scale.by_segment()
+    if not known and summary.has_free_scale and summary.facts.mode != "mono":
+        return (
+            "no cameras see the same, and the rig has turned too little to tell the scale: lengths "
+            "are in map units (vo eval --align sim3); turn by 90° or more"
+        )
     if not known:
         return "mono: the scale is unknown, lengths are in map units (vo eval --align sim3)"
     unknown = [str(each.segment) for each in summary.segments if each.segment not in known]
