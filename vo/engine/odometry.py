@@ -17,7 +17,6 @@ from vo.base.config import Config
 from vo.base.failures import Failure
 from vo.base.faults import Fault, FaultKind
 from vo.base.records.calibration_errors import CalibrationErrors
-from vo.base.records.metric_scale import ScaleSource
 from vo.base.records.snapshot import Snapshot
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Estimate, Frame, PredictedPose, Rig, State
@@ -82,7 +81,6 @@ class Odometry:
         self._result: FrameResult | None = None  # of the newest frame
         self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
         self._has_moved = False  # whether the newest frame has added or moved keyframes
-        self.scale_sources: tuple[ScaleSource, ...] = ()  # of its own
 
     def track(self, frame: Frame) -> Estimate:
         """Process the next frame."""

@@ -17,7 +17,7 @@ from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Estimate, Frame, Trajectory
-from vo.engine.rig.creation import AnyOdometry
+from vo.engine.rig.creation import AnyOdometry, scale_sources
 from vo.outputs.recorders.recorder import LoopClosures, Recorder
 from vo.outputs.results.folder import RunFolder
 from vo.outputs.results.live_summary import LiveState
@@ -133,7 +133,7 @@ class RunSession:
         self._causal = PoseLog()
         self._begun = self._refreshed = time.perf_counter()
         self._refresh_took = self._start_up_ms = 0.0
-        self._scale = RunScale(opened.scale, odometry.scale_sources)
+        self._scale = RunScale(opened.scale, scale_sources(odometry))
         self._is_warned = False  # that results are incomplete
 
     def run(self, frames: Iterator[Frame]) -> Summary:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from vo.base.config import Config
 from vo.base.errors import ConfigError
 from vo.base.geometry.rig_overlap import overlaps
+from vo.base.records.metric_scale import ScaleSource
 from vo.base.types import Rig
 from vo.engine.odometry import Odometry
 from vo.engine.stages import BUILT_IN, Components
@@ -44,3 +45,8 @@ def make_odometry(
     from vo.engine.rig.odometry import RigOdometry
 
     return RigOdometry(rig, config, components, optimizer_process)
+
+
+def scale_sources(odometry: AnyOdometry) -> tuple[ScaleSource, ...]:
+    """What the odometry itself knows of a scale that its cameras do not give."""
+    return () if isinstance(odometry, Odometry) else odometry.scale_sources
