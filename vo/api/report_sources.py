@@ -102,6 +102,8 @@ def _evaluated(run: RunRecord, inputs: Inputs) -> EvaluatedRun:
     if others:
         notes = (*notes, "in the figures, each of the other segments is aligned separately")
     causal = causal_ate_m(tracked_part(run.causal, run.path), inputs)
+    if causal is not None and inputs.mode != inputs.causal_mode:
+        notes = (*notes, "the causal path had no scale when it was tracked: aligned by sim3")
     return EvaluatedRun(evaluation, inputs.reference, origin, notes, others, causal)
 
 

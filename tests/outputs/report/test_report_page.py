@@ -367,6 +367,18 @@ def test_the_verdict_depends_on_the_number_of_tracked_frames(
     assert any("There is no ground truth" in each for each in found.sentences) == (tracked > 0)
 
 
+def test_starting_frames_that_have_a_pose_by_now_are_not_shaded_as_lost(
+    report_runs: list[Path],
+) -> None:
+    """Those of one camera have no pose until the first map."""
+    entry = Entry("a", 0, read_run(report_runs[1]))
+    frames = entry.run.frames
+    assert frames is not None and frames.state[0] == "starting"
+    assert entry.run.trajectory.stamps_ns[0] == frames.stamp_ns[0]
+    assert len(entry.untracked_s) == 1
+    assert entry.without_pose_s == []
+
+
 def test_a_run_without_a_pose_is_shown(own_run: Path, tmp_path: Path) -> None:
     for name in ("trajectory.tum", "causal.tum"):
         (own_run / name).write_text("", encoding="utf-8")

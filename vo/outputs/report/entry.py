@@ -58,15 +58,27 @@ class Entry:
         return np.asarray((stamps_ns - self.zero_ns) / _NS_PER_S, dtype=np.float64)
 
     @property
-    def without_pose_s(self) -> list[tuple[float, float]]:
+    def untracked_s(self) -> list[tuple[float, float]]:
         """Time intervals without a causal pose, from the frame before to the frame after.
 
         They include the time before the first pose.
         """
+        return self._intervals(is_start_posed=False)
+
+    @property
+    def without_pose_s(self) -> list[tuple[float, float]]:
+        """The same without the start, where its frames have a pose since the first map."""
+        return self._intervals(is_start_posed=True)
+
+    def _intervals(self, *, is_start_posed: bool) -> list[tuple[float, float]]:
         frames = self.run.frames
         if frames is None or not len(frames):
             return []
-        missing = np.concatenate([[False], frames.state != "tracking", [False]])
+        is_missing = frames.state != "tracking"
+        if is_start_posed:
+            has_pose = np.isin(frames.stamp_ns, self.run.trajectory.stamps_ns)
+            is_missing &= ~((frames.state == "starting") & has_pose)
+        missing = np.concatenate([[False], is_missing, [False]])
         edges = np.flatnonzero(np.diff(missing.astype(np.int8)))
         seconds = self.seconds(frames.stamp_ns)
         last = len(frames) - 1

@@ -147,7 +147,7 @@ def draw_drift(entries: Sequence[Entry]) -> Figure | None:
     right.set(ylabel="rotation (° per 100 m)")
     for axes in (left, right):
         axes.set(xlabel="length (m)")
-        axes.set_ylim(bottom=0.0)
-        axes.set_xlim(left=0.0)
+        axes.set_ylim(0.0, 1.05 * axes.get_ylim()[1])  # whole dots
+        axes.set_xlim(0.0, 1.05 * axes.get_xlim()[1])
     legend(figure, left)
     return figure

@@ -44,7 +44,7 @@ def draw_counts(entry: Entry) -> Figure | None:
     style = {"color": MUTED, "lw": 0.8, "transform": axes.get_xaxis_transform()}
     axes.plot(np.repeat(keyframes, 3), ticks, **style)
     axes.plot([], [], "|", color=MUTED, ms=8, label=f"keyframes ({len(keyframes)})")
-    shade(axes, entry.without_pose_s, "no pose")
+    shade(axes, entry.untracked_s, "not tracked")
     axes.set_ylim(bottom=0.0)
     axes.margins(x=0.01)
     axes.set(title="Landmarks of the map found in each image", ylabel="count", xlabel="time (s)")
