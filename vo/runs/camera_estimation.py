@@ -35,7 +35,7 @@ from vo.recordings.sources.camera_hint import NO_HINT, CameraHint, camera_hint
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.recordings.sources.uncalibrated import open_uncalibrated
-from vo.runs.keyframe_tracking import track_keyframes, without_extras
+from vo.runs.keyframe_tracking import track_keyframes, with_more_keyframes, without_extras
 from vo.runs.run_options import RunOptions
 from vo.runs.sensor_alignment import align_sensor
 
@@ -195,14 +195,22 @@ class _Search:
             if tracked is not None:
                 again = self._adjusted(tracked.views, lens, WITH_CENTRE)
             if tracked is None or again is None:
-                break
+                if number > 0:
+                    break
+                # With the right lens there may be too few keyframes.
+                self._config = with_more_keyframes(self._config)
+                continue
             change = abs(again.lens.focal / lens.focal - 1.0)
             adjusted, path, lens = again, tracked.path, again.lens
             _log.info("over %d frames: %s", len(path), lens)
             if number > 0 and change < _CONVERGED:
                 break
         if adjusted is None:
-            raise CalibrationError("the camera that was estimated from the first frames is wrong")
+            raise CalibrationError(
+                "no calibration: the camera that was estimated from the first frames leads to no "
+                "path (an estimate needs a camera that moves, not only turns, and texture); give "
+                "`calibration=FILE`"
+            )
         if abs(lens.k1) < _IDEAL_K1:
             straight = lens._replace(k1=0.0, k2=0.0)
             adjusted = self._adjusted(adjusted.views, straight, IDEAL) or adjusted

@@ -14,6 +14,7 @@ from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.engine.odometry import Odometry
 
 _MIN_VIEWS = 3  # of a landmark
+_DENSE = {"min_parallax_mono_deg": 1.0, "max_gap_s": 0.2}
 
 
 class TrackedKeyframes(NamedTuple):
@@ -76,3 +77,8 @@ def without_extras(config: Config) -> Config:
             "memory": config.memory.model_copy(update=off[1]),
         }
     )
+
+
+def with_more_keyframes(config: Config) -> Config:
+    """The settings with more keyframes, as for what changes quickly or moves little."""
+    return config.model_copy(update={"keyframes": config.keyframes.model_copy(update=_DENSE)})

@@ -21,14 +21,18 @@ from vo.recordings.sources.rescaling import at_constant_focal_length
 from vo.recordings.sources.sequence import ImageSequence
 from vo.recordings.sources.source import FrameStream
 from vo.runs.focal_adjustment import AdjustedFocal, FocalPrior, adjust_focal_lengths
-from vo.runs.keyframe_tracking import TrackedKeyframes, track_keyframes, without_extras
+from vo.runs.keyframe_tracking import (
+    TrackedKeyframes,
+    track_keyframes,
+    with_more_keyframes,
+    without_extras,
+)
 from vo.runs.run_options import RunOptions
 
 _log = logging.getLogger(__name__)
 
 _PASSES, _SETTLED = 3, 0.003  # until logarithms change by less
 _KEYFRAMES, _OVERLAP, _MIN_KEYFRAMES = 60, 15, 4  # adjusted together
-_KEYFRAME_SETTINGS = {"min_parallax_mono_deg": 1.0, "max_gap_s": 0.2}  # a zoom is quick
 _MAX_POINTS = 1500  # those in most keyframes
 _FIRST_SIGMA = 0.001  # the first images are as calibrated
 _WALK = 0.03  # standard deviation of the logarithm after a second
@@ -45,12 +49,13 @@ def follow_focal_length(
     """The recording at a constant focal length, and what it was; unchanged if that is constant."""
     _log.warning("the focal length may change in %s: it is estimated first", stream.name)
     assert isinstance(stream, ImageSequence)
+    denser = with_more_keyframes(without_extras(config))
     current = stream
     found: tuple[FocalLength, ...] = ()
     spans: list[tuple[int, int]] | None = None
     for _ in range(_PASSES):
         frames = _left_images(current, config, options)
-        tracked = track_keyframes(Rig(current.rig.cam0), _with_more_keyframes(config), frames)
+        tracked = track_keyframes(Rig(current.rig.cam0), denser, frames)
         walk = _Walk(tracked, current.rig.cam0, spans)
         stamps_ns, logs, sigma = walk.stamps_ns, walk.logs, walk.sigmas
         spans = walk.spans
@@ -86,11 +91,6 @@ def zoom_faults(found: tuple[FocalLength, ...]) -> list[Fault]:
         return []
     is_exact = all(each.sigma_px < _MAX_SIGMA * each.focal_px for each in found)
     return [Fault(FaultKind.FOCAL_LENGTH_CHANGE, is_exact, focal_change(found))]
-
-
-def _with_more_keyframes(config: Config) -> Config:
-    denser = config.keyframes.model_copy(update=_KEYFRAME_SETTINGS)
-    return without_extras(config).model_copy(update={"keyframes": denser})
 
 
 def _left_images(stream: ImageSequence, config: Config, options: RunOptions) -> Iterator[Frame]:
