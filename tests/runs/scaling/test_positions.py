@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -213,6 +214,45 @@ def test_subtitles_of_a_drone(tmp_path: Path, kind: str) -> None:
     assert found.origin is not None
     np.testing.assert_allclose(found.origin, [47.0, 8.5, 401.5])
     np.testing.assert_allclose(found.xyz[:, 1], [1.11 * i for i in range(4)], atol=0.01)
+
+
+AIRDATA = (
+    "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),"
+    "altitude_above_seaLevel(feet),speed(mph),isPhoto,isVideo\n"
+)
+
+
+def flight(videos: Sequence[int]) -> str:
+    return AIRDATA + "".join(
+        f"{100 * i},2020-09-13 12:26:40,{47 + 1e-5 * i:.7f},8.5,{i},1000,0,0,{is_video}\n"
+        for i, is_video in enumerate(videos)
+    )
+
+
+def test_a_flight_log_of_one_video(tmp_path: Path) -> None:
+    (tmp_path / "flight.csv").write_text(flight([0, 0, 1, 1, 1, 0]))
+    found = read_positions(str(tmp_path / "flight.csv"))
+    assert found.stamps_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert found.origin is not None
+    np.testing.assert_allclose(found.origin, [47.00002, 8.5, 304.8])
+    np.testing.assert_allclose(found.xyz[:, 1], [0.0, 1.1118, 2.2235], atol=1e-3)
+
+
+def test_a_flight_log_of_several_videos(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "flight.csv").write_text(flight([1, 0, 1]))
+    found = read_positions(str(tmp_path / "flight.csv"))
+    assert found.stamps_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert "has 2 videos" in caplog.text
+
+
+def test_a_flight_record_of_dji(tmp_path: Path) -> None:
+    head = "sep=,\nCUSTOM.date [local],OSD.flyTime [s],OSD.latitude,OSD.longitude,OSD.altitude [m]"
+    rows = "".join(f"\n9/13/2020,{0.1 * i:.1f},47.00{i},8.5,400.5" for i in range(3))
+    (tmp_path / "record.csv").write_text(head + rows)
+    found = read_positions(str(tmp_path / "record.csv"))
+    assert found.stamps_ns.tolist() == [0, 100_000_000, 200_000_000]
+    assert found.origin is not None
+    assert found.origin[2] == 400.5
 
 
 def test_gpx(tmp_path: Path) -> None:
