@@ -13,6 +13,7 @@ import vo
 from vo.base.geometry.geodesy import geodetic_from_enu
 from vo.base.types import Camera
 from vo.tools.calibrating.board import make_board
+from vo.tools.markers.patterns import marker_cells
 
 # Recordings in folders, of two cameras.
 WALKS = ("SOURCE", "my_sequence", "drive", "around_the_block", "monday", "tuesday", "wednesday")
@@ -53,6 +54,10 @@ def make_files(walk: Path, folder: Path) -> None:
     (folder / "drives.csv").write_text("source,name\ndrives/a,first\ndrives/b,second\n")
     for name in ("camera.yaml", "calibration.yaml", "my_calibration.yaml"):
         vo.write_calibration(folder / name, vo.Rig(recording.rig.cam0))
+    vo.batch([folder / "drives" / "a"], folder / "results" / "v1", "fast", jobs=1)
+    shutil.copytree(folder / "results" / "v1", folder / "results" / "v2")
+    vo.run(folder / "SOURCE", folder / "mapped", "fast", save_map=folder / "A")
+    shutil.copy(folder / "A", folder / "B")
     _photos(folder, [frame.image0 for frame in recording.frames(0, 13)])
     _boards(folder)
     _positions(walk, folder)
@@ -66,6 +71,10 @@ def _photos(folder: Path, images: list[np.ndarray]) -> None:  # type: ignore[typ
     names = ("photo.jpg", "a.png", "front.png", "tea.jpg")
     for name in names:
         cv2.imwrite(str(folder / name), images[0])
+    seen = images[0].copy()
+    cell = np.pad(marker_cells("APRILTAG_36H11", 7), 1, constant_values=255)
+    seen[60:140, 60:140] = cv2.GaussianBlur(np.kron(cell, np.ones((8, 8), np.uint8)), (0, 0), 0.6)
+    cv2.imwrite(str(folder / "photo.jpg"), seen)
     for name in ("b.png", "back.png"):
         cv2.imwrite(str(folder / name), images[4])
     cv2.imwrite(str(folder / "desk.jpg"), images[2])

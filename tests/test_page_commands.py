@@ -23,7 +23,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 SHORTER = {
     r"vo demo$": "vo demo --help",
     r"(vo synth \S+ .*)": r"\1 --seconds 1.5 --set scale=0.25",
-    r"(vo sweep .*)--trials 40": r"\1--trials 2",
+    r"(vo sweep .*)--trials 40": r"\1--trials 1",
+    "features.count=800,1500,3000 --try window.iterations=4,8": "features.count=800",
     r"(drive|monday|tuesday)\.mp4": "drive.mcap",
     r"0,300,620,260,1240,300,1240,376,0,376": "0,200,200,180,399,200,399,250,0,250",
     r"right:0,340,1241,36": "right:0,230,400,20",
@@ -42,14 +43,11 @@ NOT_RUN = {
     r"vo models fetch": "a network; tests/engine/learned",
     "xfeat": "weights from the network",
     "lighterglue": "weights from the network",
-    r"vo sweep|sweep/": "many runs; tests/runs/batch",
-    r"--dataset": "whole data sets; tests/runs/batch",
-    "vo compare": "two batches; tests/runs/batch",
     r"mug|walk\.mp4|find desk\.jpg --picture": "an object in view; tests/tools/objects",
-    r"vo map": "two maps; tests/cli/test_map_command.py",
+    r"sweep/best": "a trial that is better; tests/runs/batch",
     r"--wheel": "a robot; tests/runs/test_wheel_run.py",
     r"vo demo|vo warmup": "a minute; tests/cli/test_demo.py",
-    r"vo markers \w": "markers in view; tests/cli/test_markers_command.py",
+    r"vo markers walk": "markers in a recording; tests/cli/test_markers_command.py",
     r"--imu": "a board that swings; tests/tools/calibrating",
 }
 
