@@ -125,3 +125,7 @@ def _positions(walk: Path, folder: Path) -> None:
         for s, (a, b, c) in zip(path.stamps_ns, places, strict=True)
     ]
     (folder / "gps.csv").write_text("\n".join(["stamp_ns,lat,lon,alt", *lines, ""]))
+    steps = np.linalg.norm(np.diff(path.positions, axis=0), axis=1)
+    speeds = steps / np.diff(path.stamps_ns * 1e-9)
+    rows = [f"{s},{v:.4f},0.0" for s, v in zip(path.stamps_ns[1:], speeds, strict=True)]
+    (folder / "wheels.csv").write_text("\n".join(["stamp_ns,speed,yaw_rate", *rows, ""]))
