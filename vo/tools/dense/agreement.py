@@ -12,7 +12,7 @@ from vo.base.geometry.transforms import inverse
 from vo.base.types import Bytes, Floats, Floats32
 from vo.tools.dense.depth import DepthMap
 
-_MAX_SIGMAS = 3.0  # between depths of one surface
+_MAX_SIGMAS = 2.0  # between depths of one surface
 
 
 def confirmed(

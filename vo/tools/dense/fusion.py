@@ -142,6 +142,7 @@ class Fusion:
         self._field = DistanceField(self._edge, keyframes.rig) if options.mesh else None
         self._recording = self._opened(options.rrd)
         self._known, self._pixels = 0, 0
+        self._fused: list[int] = []
         self._posed = PosedImages(keyframes.rig, options.nerfstudio, options.colmap)
 
     def _typical(self) -> tuple[float, float]:
@@ -181,6 +182,10 @@ class Fusion:
                 if row in waiting:
                     inverse, contradicted = waiting.pop(row).result()
                     self._add(images, inverse, self._store.load(row).sigma)
+                    if self._options.grid:
+                        some = np.ascontiguousarray(inverse[::_GRID_STEP, ::_GRID_STEP])
+                        self._store.save_confirmed(row, some)
+                        self._fused.append(row)
                     self._posed.add(images, contradicted)
                 yield done
 
@@ -289,16 +294,16 @@ class Fusion:
         path = np.array([pose[:2, 3] for pose in poses])
         margin = np.concatenate([np.percentile(points[:, :2], (0.5, 99.5), axis=0), path])
         grid = OccupancyGrid(margin.min(axis=0) - cell, margin.max(axis=0) + cell, cell, band)
-        for row in self._rows:
+        for row in self._fused:
             seen, columns = self._seen(row)
             grid.add(transform_points(poses[row], seen), columns, poses[row])
         return grid.grid()
 
     def _seen(self, row: int) -> tuple[Floats, Ints]:
         """Points (N, 3) in the camera of some pixels, and their columns."""
-        rig, (inverse, _) = self._keyframes.rig, self._depth_of(row)
-        v, u = np.nonzero(inverse[::_GRID_STEP, ::_GRID_STEP])
-        z = 1.0 / inverse[v * _GRID_STEP, u * _GRID_STEP].astype(np.float64)
+        rig, inverse = self._keyframes.rig, self._store.load_confirmed(row)
+        v, u = np.nonzero(inverse)
+        z = 1.0 / inverse[v, u].astype(np.float64)
         x = (u * _GRID_STEP - rig.cx) / rig.fx
         y = (v * _GRID_STEP - rig.cy) / rig.fy
         return np.column_stack([x * z, y * z, z]), u.astype(np.int64)

@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.files.complete_file import complete_file, writing
+from vo.base.types import Floats32
 from vo.tools.dense.depth import DepthMap
 
 _STEPS_PER_SIGMA = 8  # of inverse depths as they are stored
@@ -66,9 +67,15 @@ class DepthStore:
             raise SourceError(f"{path} is damaged; remove {self._folder} and run again") from error
         return DepthMap(whole * step, least * np.exp2(errors / np.float32(_STEPS_PER_DOUBLING)))
 
-    def rows(self, count: int) -> list[int]:
-        """Keyframes of `count` whose depth is there."""
-        return [row for row in range(count) if self.has(row)]
+    def save_confirmed(self, row: int, inverse: Floats32) -> None:
+        """Keep inverse depths (H, W) of a keyframe that others confirm, for this call only."""
+        path = self._path(row).with_suffix(".npy")
+        with writing(path):
+            np.save(path, inverse)
+
+    def load_confirmed(self, row: int) -> Floats32:
+        """What was kept of a keyframe."""
+        return np.asarray(np.load(self._path(row).with_suffix(".npy")), np.float32)
 
     def remove(self) -> None:
         """Remove everything."""
