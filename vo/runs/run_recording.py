@@ -293,11 +293,13 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
             raise SourceError(f"`{option}` is for live sources, and {source} is a recording")
     opened = open_source(source, mode=options.mode, **_reading(options))
     are_alike = bool((opened.rig.cam0_from_cams[:, 2, 2] > _ALIKE).all())
-    if options.mode != "auto" or are_alike or overlaps(opened.rig):
+    sensor = next(iter(opened.imus), None) if config.inertial.enabled else None
+    is_placed = sensor is not None and sensor.cam0_from_imu is not None
+    if options.mode != "auto" or are_alike or not is_placed or overlaps(opened.rig):
         return opened
     _log.warning(
-        "%s: by the calibration its %d cameras see nothing in common, so that only cam0 is used; "
-        "correct their poses if they do",
+        "%s: its %d cameras see nothing in common; only cam0 is used, with the inertial sensor, for "
+        "metres (`inertial.enabled=false`: all cameras, without it)",
         opened.name,
         len(opened.rig.cameras),
     )
