@@ -44,6 +44,6 @@ def test_a_sensor_gives_metres_where_cameras_see_nothing_in_common(tmp_path: Pat
     path = _render(tmp_path / "drone", "drone", "none", 0.5)
     assert vo.run(path, tmp_path / "one").facts.mode == "mono"
     found = json.loads((tmp_path / "one" / "summary.json").read_text("utf-8"))["warnings"]
-    assert any("its 2 cameras see nothing in common; only cam0 is used" in text for text in found)
+    assert any("its 2 cameras see nothing in common; only cam0 and the" in text for text in found)
     alone = vo.run(path, tmp_path / "both", imu=False)
     assert alone.facts.mode != "mono" and alone.tracked > 15

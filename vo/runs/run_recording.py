@@ -298,7 +298,7 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     if options.mode != "auto" or are_alike or not is_placed or overlaps(opened.rig):
         return opened
     _log.warning(
-        "%s: its %d cameras see nothing in common; only cam0 is used, with the inertial sensor, for "
+        "%s: its %d cameras see nothing in common; only cam0 and the inertial sensor are used, for "
         "metres (`inertial.enabled=false`: all cameras, without it)",
         opened.name,
         len(opened.rig.cameras),
