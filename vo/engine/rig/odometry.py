@@ -35,7 +35,7 @@ from vo.engine.rig.frames import RigFrame, RigPreprocessor
 from vo.engine.rig.mapper import RigMapper
 from vo.engine.rig.policy import RigKeyframePolicy
 from vo.engine.rig.starter import Metre, RigStarter
-from vo.engine.rig.tracked import RigTracked
+from vo.engine.rig.tracked import LastRigFrame, RigTracked
 from vo.engine.rig.tracker import RigTracker
 from vo.engine.rig.views import rig_views
 from vo.engine.rig.window import RigWindow, rig_window_size
@@ -44,6 +44,8 @@ from vo.engine.stages import BUILT_IN, Components
 from vo.engine.trajectory.builder import TrajectoryBuilder
 from vo.engine.trajectory.store import TrajectoryStore
 from vo.engine.warmup import warm_up
+
+_SETTLING = 3  # frames until the velocity is known, where images have different times
 
 
 class RigOdometry:
@@ -98,6 +100,7 @@ class RigOdometry:
         self.scale_sources: tuple[ScaleSource, ...] = ()
         self._metres: dict[int, MetricScale] = {}  # by segment that began without a scale
         self._policy = RigKeyframePolicy(config, count)
+        self._unsettled = 0  # frames to make the first map anew, as the velocity was unknown
         self._config = config
         self._state = State.STARTING
         self._segment = 0
@@ -229,10 +232,27 @@ class RigOdometry:
             return
         self._state, self._lost = State.TRACKING, 0
         self._tracker.update(frame, tracked)
+        if self._unsettled > 0 and self.metre.is_known:
+            self._settle(frame, tracked)
+            return
         last = self._mapper.newest
         self._needs_keyframe = self._policy.needs_keyframe(self._map, last, frame, tracked)
         if not self._needs_keyframe:
             self._trajectory.add_frame(frame.views[0], last[0], tracked.world_from_body)
+
+    def _settle(self, frame: RigFrame, tracked: RigTracked) -> None:
+        """Make the first map anew: that before had images of different times as if at rest."""
+        self._unsettled -= 1
+        self._apply()
+        self._map.clear()
+        tied, pose = tracked.body_from_views, tracked.world_from_body
+        keyframe = self._mapper.add_first_instant(frame, pose, tied, self._segment)
+        self._mapper.extend(frame)
+        if len(self._map) < self._config.start.min_points:
+            self._state = State.STARTING
+            return
+        self._trajectory.add_keyframe(keyframe)
+        self._tracker.last = LastRigFrame(frame, self._mapper.as_tracked(tied))
 
     def _add_keyframe(self, frame: RigFrame, tracked: RigTracked) -> Keyframe:
         frame.start_features()
@@ -273,6 +293,7 @@ class RigOdometry:
         self._starter.restart()
         self._tracker.restart(frame, tracked)
         self._trajectory.add_keyframe(keyframe)
+        self._unsettled = _SETTLING if any(frame.delay_s) else 0
         if not self.metre.is_known:
             self._window.submit()
             self._apply()

@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.geometry.projection import MIN_DEPTH, Intrinsics
-from vo.base.geometry.transforms import orthonormalised, se3_exp
+from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp
 from vo.base.types import Bools, Floats, Ints
 
 _HUBER = 2.0  # residual, in standard deviations, from which a match is weighted down
 _ITERATIONS, _CONVERGED = 12, 1e-6  # the latter a squared Mahalanobis length
+_TWIST_SIGMA = 0.5  # of a velocity from that between the frames before, rad/s and m/s
 
 
 class RigObservations(NamedTuple):
@@ -34,21 +35,46 @@ class RigObservations(NamedTuple):
     view: Ints
 
 
+class RigTies(NamedTuple):
+    """How views are fixed to the body, which moves while they take their images.
+
+    Attributes:
+        body_from_views: (V, 4, 4).
+        delay_s: (V,) time of each view after that of the body's pose.
+        twist: (6,) velocity of the body, in its own frame, per second.
+    """
+
+    body_from_views: Floats
+    delay_s: Floats
+    twist: Floats
+
+    @property
+    def at_their_times(self) -> Floats:
+        """(V, 4, 4) body_from_view of the body at its own time, and the views at theirs."""
+        if not self.delay_s.any():
+            return self.body_from_views
+        moved = np.stack([se3_exp(delay * self.twist) for delay in self.delay_s.tolist()])
+        return np.asarray(moved @ self.body_from_views)
+
+
 class RigFit(NamedTuple):
-    """body_from_world (4, 4), and which observations (N,) agree with it."""
+    """body_from_world (4, 4), which observations (N,) agree with it, and the ties."""
 
     body_from_world: Floats
     inlier: Bools
+    ties: RigTies
 
 
 def fit_rig(
     body_from_world: Floats,
     observed: RigObservations,
-    view_from_body: Floats,
+    ties: RigTies,
     intrinsics: Intrinsics,
     gate: float,
 ) -> RigFit:
     """Minimise Huber-weighted reprojection errors over the pose of the body.
+
+    Where the views have different times, over its velocity too, near that of `ties`.
 
     First with all observations, then, after convergence or half of the iterations, without
     outliers.
@@ -56,14 +82,18 @@ def fit_rig(
     Args:
         body_from_world: (4, 4) first guess.
         observed: the observations.
-        view_from_body: (V, 4, 4).
+        ties: of the views to the body.
         intrinsics: of all views.
         gate: residual, in standard deviations, from which an observation is an outlier.
     """
-    rotation, shift = view_from_body[observed.view, :3, :3], view_from_body[observed.view, :3, 3]
+    moves = bool(ties.delay_s.any())
+    start = ties.twist
     focal, centre = np.array(intrinsics[:2]), np.array(intrinsics[2:])
     limit, pose = np.inf, body_from_world
     for step in range(_ITERATIONS + 1):
+        if step == 0 or moves:
+            tied = inverse(ties.at_their_times)[observed.view]
+            rotation, shift = tied[:, :3, :3], tied[:, :3, 3]
         in_body = observed.points @ pose[:3, :3].T + pose[:3, 3]
         p = np.einsum("nij,nj->ni", rotation, in_body) + shift
         z = np.where(p[:, 2] > MIN_DEPTH, p[:, 2], np.nan)
@@ -78,12 +108,20 @@ def fit_rig(
         # Rows of d(u, v) / d p in the view, turned to the body; a step moves p by r x p + t.
         by_point = scaled[:, :, None] * (rotation[:, :2] - ratio[:, :, None] * rotation[:, 2:])
         by_turn = np.cross(in_body[:, None], by_point)
-        jacobian = np.concatenate([by_turn, by_point], axis=2).reshape(-1, 6)
+        jacobian = np.concatenate([by_turn, by_point], axis=2)
+        if moves:  # a body that moves on takes the views with it
+            late = -ties.delay_s[observed.view]
+            jacobian = np.concatenate([jacobian, late[:, None, None] * jacobian], axis=2)
+        jacobian = jacobian.reshape(-1, jacobian.shape[2])
         weighted = (weight[:, None] * np.nan_to_num(error)).ravel()
         normal = jacobian.T @ jacobian
-        normal[np.diag_indices(6)] += 1e-9 + 1e-9 * np.diag(normal)
+        normal[np.diag_indices_from(normal)] += 1e-9 + 1e-9 * np.diag(normal)
+        gradient = jacobian.T @ weighted
+        if moves:
+            normal[range(6, 12), range(6, 12)] += _TWIST_SIGMA**-2.0
+            gradient[6:] += (ties.twist - start) * _TWIST_SIGMA**-2.0
         try:
-            change = -np.linalg.solve(normal, jacobian.T @ weighted)
+            change = -np.linalg.solve(normal, gradient)
         except np.linalg.LinAlgError:
             break
         is_settled = float(change @ normal @ change) < _CONVERGED
@@ -91,5 +129,7 @@ def fit_rig(
             break
         if is_settled or step == _ITERATIONS // 2:
             limit = gate
-        pose = np.asarray(se3_exp(np.asarray(change)) @ pose)
-    return RigFit(orthonormalised(pose), residual < gate)
+        pose = np.asarray(se3_exp(np.asarray(change[:6])) @ pose)
+        if moves:
+            ties = ties._replace(twist=ties.twist + change[6:])
+    return RigFit(orthonormalised(pose), residual < gate, ties)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from vo.base.config import TrackingConfig
-from vo.base.geometry.transforms import inverse, se3_exp, se3_log
+from vo.base.geometry.transforms import inverse, se3_log
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats
 from vo.engine.frontend.contracts import FeatureSet, feature_set
@@ -15,7 +15,7 @@ from vo.engine.frontend.frontend import Frontend
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
 from vo.engine.rig.frames import RigFrame
-from vo.engine.rig.pose_fit import RigObservations, fit_rig
+from vo.engine.rig.pose_fit import RigObservations, RigTies, fit_rig
 from vo.engine.rig.tracked import LastRigFrame, RigTracked, landmarks_per_view, unobserved
 from vo.engine.tracking.landmark_alignment import LandmarkAligner
 from vo.engine.tracking.motion_model import ConstantVelocity
@@ -65,16 +65,16 @@ class RigTracker:
         self.motion.update(frame.stamp_ns, tracked.world_from_body)
         self.last = LastRigFrame(frame, tracked)
 
-    def tied(self, frame: RigFrame, world_from_body: Floats) -> Floats:
-        """(V, 4, 4) body_from_view at the times of a frame's images, for a pose of the body."""
+    def ties(self, frame: RigFrame, world_from_body: Floats) -> RigTies:
+        """The views at the times of a frame's images, for a pose of the body."""
+        ties = RigTies(self.body_from_views, np.array(frame.delay_s), np.zeros(6))
         if not any(frame.delay_s) or self.last is None:
-            return self.body_from_views
+            return ties
         elapsed_s = 1e-9 * (frame.stamp_ns - self.last.frame.stamp_ns)
         if elapsed_s <= 0.0:
-            return self.body_from_views
-        twist = se3_log(inverse(self.motion.last) @ world_from_body) / elapsed_s
-        moved = np.stack([se3_exp(delay * twist) for delay in frame.delay_s])
-        return np.asarray(moved @ self.body_from_views)
+            return ties
+        motion = inverse(self.motion.last) @ world_from_body
+        return ties._replace(twist=se3_log(motion) / elapsed_s)
 
     @timed("match")
     def track(self, frame: RigFrame, *, is_lost: bool) -> RigTracked | None:
@@ -109,7 +109,7 @@ class RigTracker:
         """By sparse image alignment in the views that had the most landmarks."""
         if self.last is None:
             return
-        last, tied = self.last, self.tied(frame, predicted)
+        last, tied = self.last, self.ties(frame, predicted).at_their_times
         counts = [v.inliers * used for v, used in zip(last.tracked.views, frame.used, strict=True)]
         for view in np.argsort(counts)[::-1][:_ALIGNED_VIEWS].tolist():
             seen, image = last.tracked.views[view], frame.views[view]
@@ -136,7 +136,8 @@ class RigTracker:
     @timed("align")
     def refine(self, frame: RigFrame, world_from_body: Floats) -> RigTracked | None:
         """Align the landmarks in all views, starting at a pose (4, 4), and fit the pose to them."""
-        tied = self.tied(frame, world_from_body)
+        ties = self.ties(frame, world_from_body)
+        tied = ties.at_their_times
         visible = [self._visible(frame, v, world_from_body @ tied[v]) for v in range(len(tied))]
         observed = []
         for v, seen in enumerate(visible):
@@ -151,11 +152,10 @@ class RigTracker:
             numbers,
         )
         in_view = [0 if seen is None else len(seen.rows) for seen in visible]
-        pose = inverse(world_from_body)
-        for _ in range(2 if any(frame.delay_s) else 1):  # the second time with its velocity
-            fit = fit_rig(pose, stacked, inverse(tied), self._map.rig.intrinsics, self._config.gate)
-            pose = fit.body_from_world
-            tied = self.tied(frame, inverse(pose))
+        fit = fit_rig(
+            inverse(world_from_body), stacked, ties, self._map.rig.intrinsics, self._config.gate
+        )
+        pose, tied = fit.body_from_world, fit.ties.at_their_times
         for v, seen in enumerate(visible):
             if seen is not None:
                 self._map.visible[seen.rows] += 1
