@@ -103,12 +103,7 @@ def fit_rig(
             break
         weight = np.sqrt(_HUBER / np.maximum(residual, _HUBER))
         weight[~((residual < limit) & np.isfinite(residual))] = 0.0
-        scaled = (weight / observed.sigma_px / np.nan_to_num(z, nan=1.0))[:, None] * focal
-        ratio = np.nan_to_num(p[:, :2] / z[:, None])
-        # Rows of d(u, v) / d p in the view, turned to the body; a step moves p by r x p + t.
-        by_point = scaled[:, :, None] * (rotation[:, :2] - ratio[:, :, None] * rotation[:, 2:])
-        by_turn = np.cross(in_body[:, None], by_point)
-        jacobian = np.concatenate([by_turn, by_point], axis=2)
+        jacobian = _derivatives(p, z, in_body, rotation, weight / observed.sigma_px, focal)
         if moves:  # a body that moves on takes the views with it
             late = -ties.delay_s[observed.view]
             jacobian = np.concatenate([jacobian, late[:, None, None] * jacobian], axis=2)
@@ -133,3 +128,16 @@ def fit_rig(
         if moves:
             ties = ties._replace(twist=ties.twist + change[6:])
     return RigFit(orthonormalised(pose), residual < gate, ties)
+
+
+def _derivatives(
+    p: Floats, z: Floats, in_body: Floats, rotation: Floats, weight: Floats, focal: Floats
+) -> Floats:
+    """(N, 2, 6) of weighted pixels of points (N, 3) in views that are turned by (N, 3, 3).
+
+    A step of the body moves its points by r x p + t; what is behind a view has NaN as z.
+    """
+    scaled = (weight / np.nan_to_num(z, nan=1.0))[:, None] * focal
+    ratio = np.nan_to_num(p[:, :2] / z[:, None])
+    by_point = scaled[:, :, None] * (rotation[:, :2] - ratio[:, :, None] * rotation[:, 2:])
+    return np.concatenate([np.cross(in_body[:, None], by_point), by_point], axis=2)
