@@ -74,17 +74,9 @@ def fit_rig(
 ) -> RigFit:
     """Minimise Huber-weighted reprojection errors over the pose of the body.
 
-    Where the views have different times, over its velocity too, near that of `ties`.
-
-    First with all observations, then, after convergence or half of the iterations, without
-    outliers.
-
-    Args:
-        body_from_world: (4, 4) first guess.
-        observed: the observations.
-        ties: of the views to the body.
-        intrinsics: of all views.
-        gate: residual, in standard deviations, from which an observation is an outlier.
+    Where the views have different times, over its velocity too, near that of `ties`. First with
+    all observations, then, after convergence or half of the iterations, without outliers: those
+    with residuals above `gate` standard deviations.
     """
     moves = bool(ties.delay_s.any())
     start = ties.twist
