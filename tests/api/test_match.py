@@ -132,7 +132,7 @@ def test_pairs_of_a_folder_are_those_of_two_images(folder: Path, tmp_path: Path)
         ({"pairs": "none.txt"}, vo.SourceError, "list of pairs none.txt"),
         ({"window": 0}, vo.ConfigError, "`window` is 0"),
         ({"output": "m.txt"}, vo.OutputError, "must end in"),
-        ({"right": True}, vo.ConfigError, "no option 'right'"),
+        ({"right": True}, vo.ConfigError, "vo.match_folder has no option 'right'"),
     ],
 )
 def test_folders_refuse_what_cannot_be_meant(

@@ -294,7 +294,8 @@ def _check_names(given: Set[str], options: type) -> None:
     unknown = sorted(given - known)
     if unknown:
         names = ", ".join(sorted(known))
-        raise ConfigError(f"vo.match has no option '{unknown[0]}'; known: {names}")
+        function = "vo.match" if options is MatchOptions else "vo.match_folder"
+        raise ConfigError(f"{function} has no option '{unknown[0]}'; known: {names}")
 
 
 def _with(mask: Bytes | None, given: Any, image: SingleImage) -> Bytes | None:
