@@ -64,6 +64,7 @@ def test_synth(tmp_path: Path) -> None:
         "output": str(tmp_path / "a"),
         "format": "folder",
         "mode": "stereo",
+        "cameras": 2,
         "frames": 3,
         "seconds": 0.3,
     }
