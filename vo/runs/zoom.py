@@ -35,6 +35,9 @@ _PASSES, _SETTLED = 3, 0.003  # until logarithms change by less
 _KEYFRAMES, _OVERLAP, _MIN_KEYFRAMES = 60, 15, 4  # adjusted together
 _MAX_POINTS = 1500  # those in most keyframes
 _FIRST_SIGMA = 0.001  # the first images are as calibrated
+# A wrong calibration, as of stabilised images, is no zoom, but would be taken for one: the first
+# three keyframes of a hall with images cropped by 12 % are off by 1.6 %, of zooms by 0.13 %.
+_FIRST, _MAX_FIRST = 3, 0.007
 _WALK = 0.03  # standard deviation of the logarithm after a second
 # By what a varying focal length divides residuals: zooms by 3 and 8 % 1.46 and 2.02, drives of
 # KITTI, whose motion hardly shows the focal length, 1.07.
@@ -65,6 +68,9 @@ def follow_focal_length(
         if found:
             known = [np.log(each.focal_px / stream.rig.cam0.fx) for each in found]
             before = np.interp(stamps_ns, [each.stamp_ns for each in found], known)
+        if np.abs((before + logs)[:_FIRST]).max() > _MAX_FIRST:
+            _log.info("the focal length is not as calibrated from the first frames on")
+            return stream, ()
         focal_px = stream.rig.cam0.fx * np.exp(before + logs)
         rows = zip(stamps_ns.tolist(), focal_px.tolist(), (focal_px * sigma).tolist(), strict=True)
         found = tuple(FocalLength(t, round(f, 3), round(s, 3)) for t, f, s in rows)
