@@ -47,7 +47,7 @@ class ContrastCorrection:
         first = images[0]
         assert first is not None
         low, high = _ends(first[::_STEP, ::_STEP])
-        if high - low >= _MIN_RANGE or _has_content(first):
+        if high - low >= _MIN_RANGE or has_content(first):
             share = _NEWEST_SHARE if self._range else 1.0
             self._middle += share * ((low + high) / 2.0 - self._middle)
             self._range += share * (high - low - self._range)
@@ -66,7 +66,7 @@ class ContrastCorrection:
     def _is_kept(self, image: Bytes) -> bool:
         """Whether an image shows noise alone, or is clear while the left lens is fogged."""
         low, high = _ends(image[::_STEP, ::_STEP])
-        return high - low >= max(_MIN_RANGE, 2.0 * self._range) or not _has_content(image)
+        return high - low >= max(_MIN_RANGE, 2.0 * self._range) or not has_content(image)
 
     def _raise(self, image: Bytes) -> Bytes:
         gain = _RAISED_RANGE / self._range
@@ -103,7 +103,7 @@ def _edge_strength(image: Floats32) -> float:
     return percentiles(np.asarray(strongest), (90,))[0]
 
 
-def _has_content(image: Bytes) -> bool:
+def has_content(image: Bytes) -> bool:
     """Whether an image shows more than noise."""
     size = max(image.shape[1] // _STEP, 1), max(image.shape[0] // _STEP, 1)
     means = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

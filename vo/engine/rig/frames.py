@@ -14,7 +14,7 @@ from vo.base.scheduling import give_way
 from vo.base.types import Bytes, Frame, Keypoints
 from vo.engine.frontend.camera_alignment import half_size_pyramid
 from vo.engine.frontend.contracts import FeatureExtractor
-from vo.engine.frontend.image_faults import missing_content
+from vo.engine.frontend.contrast import ContrastCorrection, has_content
 from vo.engine.frontend.image_repetition import Repetition, image_change
 from vo.engine.frontend.lazy_future import LazyFuture
 from vo.engine.frontend.preprocessing import PreprocessedFrame
@@ -54,6 +54,7 @@ class RigPreprocessor:
         self._rig = rig
         self._extractor = extractor
         self._before: tuple[Bytes | None, ...] = ()
+        self._contrast = [ContrastCorrection() for _ in range(1 + rig.views[-1].camera)]
         names = ("frame", "views") if threads > 1 else ()
         workers = max(1, min(threads - 1, len(rig.views)))
         self._pools = [
@@ -89,7 +90,11 @@ class RigPreprocessor:
         given = (*frame.images, *(None,) * cameras)[:cameras]
         images = tuple(None if each is None else usual_array(each) for each in given)
         left_out = self._left_out(images)
-        views = [self._view(frame, images[view.camera], view) for view in self._rig.views]
+        clear = [
+            None if image is None else contrast.update((image,))[0]
+            for image, contrast in zip(images, self._contrast, strict=True)
+        ]
+        views = [self._view(frame, clear[view.camera], view) for view in self._rig.views]
         used = tuple(not left_out[view.camera] for view in self._rig.views)
         stamps_ns = frame.stamps_ns or (frame.stamp_ns,) * cameras
         delay_s = tuple(1e-9 * (stamps_ns[v.camera] - frame.stamp_ns) for v in self._rig.views)
@@ -109,7 +114,7 @@ class RigPreprocessor:
         is_moving = any(each.motion_px > _MIN_MOVING_PX for each in changes)
         return [
             image is None
-            or missing_content(image) is not None
+            or not has_content(image)
             or (is_moving and change.repetition is Repetition.IDENTICAL)
             for image, change in zip(images, changes, strict=True)
         ]

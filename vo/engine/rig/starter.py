@@ -25,6 +25,7 @@ from vo.engine.tracking.monocular_initializer import MonocularInitializer
 
 _WAITING = 60  # frames kept, one of which is the first of a pair
 _MIN_SIGMAS = 3.0  # of a length of a metre, below which it is not known
+_DRIFT = 0.01  # of the scale of a map, from window to window
 
 
 class FirstPair(NamedTuple):
@@ -103,6 +104,9 @@ class Metre:
     def update(self, change: float, information: float, overlap: int) -> None:
         """Take in a window, of which each instant is in `overlap` ones."""
         self.length += change
+        if self.information > 0.0:
+            drift = (_DRIFT * self.length) ** 2
+            self.information = 1.0 / (1.0 / self.information + drift)
         self.information += information / overlap
 
     @property
