@@ -29,6 +29,8 @@ def test_all_cameras_are_used_and_have_their_poses(robot: Path, tmp_path: Path) 
     summary = vo.run(robot, tmp_path / "out")
     assert summary.facts.mode == "rig" and summary.tracked == 20
     assert vo.evaluate(tmp_path / "out", robot).ate.translation.rmse < 0.005
+    unused = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))["inertial"]
+    assert unused["reason"] == "a rig of cameras is tracked without it"
     with (tmp_path / "out" / "cameras.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["camera"] for row in rows[:5]] == ["cam0", "cam1", "cam2", "cam3", "body"]

@@ -23,7 +23,7 @@ from vo.base.images.image_areas import split_cameras
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.base.scheduling import one_opencv_thread
-from vo.engine.rig.creation import make_odometry
+from vo.engine.rig.creation import is_tracked_as_rig, make_odometry
 from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
@@ -353,9 +353,11 @@ def _with_imu(opened: OpenedRun) -> tuple[OpenedRun, Components]:
         return opened, components
     sensor = stream.imus[0]
     others = [each for each in opened.scale.all if each is not opened.scale.wheel]
-    if others and not stream.rig.is_metric:
-        unused = InertialUse(sensor.name, "it cannot be combined with another source of the scale")
-        return replace(opened, unused_imu=unused), components
+    reason = "it cannot be combined with another source of the scale"
+    if not others or stream.rig.is_metric:
+        reason = "a rig of cameras is tracked without it" if is_tracked_as_rig(stream.rig) else ""
+    if reason:
+        return replace(opened, unused_imu=InertialUse(sensor.name, reason)), components
     try:
         unusable = why_unusable(sensor, stream.stamps_ns)
     except SourceError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from subprocess import Popen
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -18,7 +17,11 @@ if TYPE_CHECKING:  # only rigs need it
     from vo.engine.rig.odometry import RigOdometry
 
 AnyOdometry: TypeAlias = "Odometry | RigOdometry"
-_log = logging.getLogger(__name__)
+
+
+def is_tracked_as_rig(rig: Rig) -> bool:
+    """Whether there are more than two cameras, or two that see nothing in common."""
+    return bool(rig.further) or (rig.cam1 is not None and not overlaps(rig))
 
 
 def make_odometry(
@@ -33,15 +36,13 @@ def make_odometry(
         CalibrationError: the cameras cannot be rectified.
         ConfigError: a mask or a map cannot be used.
     """
-    if not (rig.further or (rig.cam1 is not None and not overlaps(rig))):
+    if not is_tracked_as_rig(rig):
         return Odometry(rig, config, components, optimizer_process)
     if config.memory.map:
         raise ConfigError(
             f"`memory.map` is for one or two cameras, not for {len(rig.cameras)}; use "
             "`mode=stereo` or `mode=mono`"
         )
-    if components.inertial_sensor is not None:
-        _log.info("the inertial sensor is not used with %d cameras", len(rig.cameras))
     from vo.engine.rig.odometry import RigOdometry
 
     return RigOdometry(rig, config, components, optimizer_process)
