@@ -25,7 +25,7 @@ SHORTER = {
     r"(vo synth \S+ .*)": r"\1 --seconds 1.5 --set scale=0.25",
     r"(vo sweep .*)--trials 40": r"\1--trials 1",
     "features.count=800,1500,3000 --try window.iterations=4,8": "features.count=800",
-    r"(drive|monday|tuesday)\.mp4": "drive.mcap",
+    r"(drive|clip|monday|tuesday)\.mp4": "drive.mcap",
     r"0,300,620,260,1240,300,1240,376,0,376": "0,200,200,180,399,200,399,250,0,250",
     r"right:0,340,1241,36": "right:0,230,400,20",
     r"--roi 0,40,1241,260": "--roi 0,40,400,200",

@@ -159,9 +159,9 @@ ROWS = {
     "two topics without roles": Row(
         _log("/a", "/b", calibrated=False),
         "info log.mcap --topic /a --topic /b",
-        r"try: vo run log.mcap -o out/log (--topic left=/a --topic right=/b) --calibration",
+        r"try: vo run log.mcap -o out/log (--topic /a --topic /b) --calibration",
         _one_camera,
-        "info log.mcap --topic left=/a --topic right=/b --calibration walk/calibration.yaml",
+        "info log.mcap --topic /a --topic /b --calibration walk/calibration.yaml",
     ),
     "several places of poses": Row(
         _log_with_poses, "eval a.tum log.mcap", r"choose the truth with (--topic truth=\S+)"

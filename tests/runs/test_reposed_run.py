@@ -49,7 +49,7 @@ def runs(synthetic_stereo: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     exports = Exports(folder / "a.mcap", folder / "model", folder / "map.ply")
     rrd = folder / "run.rrd"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("vo.runs.run_recording.Odometry", ReposingOdometry)
+        patch.setattr("vo.engine.rig.creation.Odometry", ReposingOdometry)
         run(
             synthetic_stereo,
             folder / "reposed",

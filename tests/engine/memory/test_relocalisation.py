@@ -40,7 +40,7 @@ def _changes_frames(
             changed = map(change, frames)
             yield from super().track_all(frame for frame in changed if frame is not None)
 
-    monkeypatch.setattr("vo.runs.run_recording.Odometry", Changed)
+    monkeypatch.setattr("vo.engine.rig.creation.Odometry", Changed)
 
 
 def _black(frame: Frame) -> Frame:
