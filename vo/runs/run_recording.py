@@ -56,7 +56,6 @@ from vo.runs.second_pass import (
     exchanged,
     known_at_first,
 )
-from vo.runs.zoom import follow_focal_length
 
 _log = logging.getLogger(__name__)
 _ALIKE = 0.5  # cosine of the angle between cameras that look the same way
@@ -127,6 +126,8 @@ def _followed(opened: OpenedRun) -> OpenedRun:
     """The recording with images at a constant focal length."""
     if not opened.known.can_follow:
         raise ConfigError("`camera.focal=slow` needs a recording of one or two cameras to its end")
+    from vo.runs.zoom import follow_focal_length  # seldom needed
+
     stream, focal = follow_focal_length(opened.stream, opened.config, opened.options)
     known = opened.known._replace(can_follow=False, focal_lengths=focal)
     return replace(opened, stream=stream, known=known)

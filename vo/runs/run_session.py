@@ -37,8 +37,7 @@ from vo.runs.run_options import RunOptions
 from vo.runs.run_scale import RunScale
 from vo.runs.run_summary import summarise_odometry
 from vo.runs.scaling.scale_sources import ScaleSources
-from vo.runs.second_pass import Known, TrackAgain, check_sensor, watched
-from vo.runs.zoom import zoom_faults
+from vo.runs.second_pass import Known, TrackAgain, check_sensor, watched, zoom_faults
 
 _log = logging.getLogger(__name__)
 _REFRESH_S = 3.0  # minimum time between interim summaries

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.faults import Fault, FaultKind
 from vo.base.records.focal_length import FocalLength
 from vo.base.types import Camera, Frame, Ints, Rig
 from vo.engine.backend.lens_adjustment import KeyframeViews
@@ -28,6 +27,7 @@ from vo.runs.keyframe_tracking import (
     without_extras,
 )
 from vo.runs.run_options import RunOptions
+from vo.runs.second_pass import MAX_ZOOM_SIGMA, focal_change
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +43,6 @@ _WALK = 0.03  # standard deviation of the logarithm after a second
 # KITTI, whose motion hardly shows the focal length, 1.07.
 _CONSTANT, _MIN_EXPLAINED = 1e-6, 1.2
 _MIN_CHANGE, _MIN_SIGNIFICANCE = 0.01, 5.0
-_MAX_SIGMA = 0.015  # of the logarithm, above which a path is not to be trusted
 
 
 def follow_focal_length(
@@ -80,23 +79,9 @@ def follow_focal_length(
             break
     change = focal_change(found)
     spread = max((each.sigma_px / each.focal_px for each in found), default=np.inf)
-    if abs(change) < max(_MIN_CHANGE, _MIN_SIGNIFICANCE * min(spread, _MAX_SIGMA)):
+    if abs(change) < max(_MIN_CHANGE, _MIN_SIGNIFICANCE * min(spread, MAX_ZOOM_SIGMA)):
         return stream, ()
     return current, found
-
-
-def focal_change(found: tuple[FocalLength, ...]) -> float:
-    """The largest relative change since the first time, 0 if there is none."""
-    changes = [each.focal_px / found[0].focal_px - 1.0 for each in found]
-    return max(changes, key=abs, default=0.0)
-
-
-def zoom_faults(found: tuple[FocalLength, ...]) -> list[Fault]:
-    """The fault of a focal length that was followed, if it was; handled if it is exact."""
-    if not found:
-        return []
-    is_exact = all(each.sigma_px < _MAX_SIGMA * each.focal_px for each in found)
-    return [Fault(FaultKind.FOCAL_LENGTH_CHANGE, is_exact, focal_change(found))]
 
 
 def _left_images(stream: ImageSequence, config: Config, options: RunOptions) -> Iterator[Frame]:

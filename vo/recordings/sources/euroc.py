@@ -28,6 +28,7 @@ from vo.recordings.sources.imu import FileImu, imu_of
 from vo.recordings.sources.imu_table import read_imu_table
 from vo.recordings.sources.listing import (
     Shot,
+    camera_folders,
     list_images,
     shots_from_names,
     shots_from_table,
@@ -35,7 +36,6 @@ from vo.recordings.sources.listing import (
 )
 from vo.recordings.sources.pairing import copy_stamps
 
-_MAX_CAMERAS = 32
 _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 _log = logging.getLogger(__name__)
 
@@ -86,12 +86,6 @@ def _other_shots(camera: Path, left: list[Shot]) -> list[Shot] | None:
         images = list_images(camera)
         return shots_from_names(images) or copy_stamps(left, images)
     return _shots(camera)
-
-
-def camera_folders(root: Path, pattern: str) -> list[Path]:
-    """Folders of the cameras 0, 1 and so on up to the last one that exists, such as `cam{}`."""
-    count = max((n for n in range(_MAX_CAMERAS) if (root / pattern.format(n)).is_dir()), default=0)
-    return [root / pattern.format(number) for number in range(count + 1)]
 
 
 def _truth(root: Path, top: Path, calibration: Calibration) -> Trajectory | None:

@@ -18,8 +18,7 @@ from vo.recordings.formats.calibration import Calibration, ImageSize, kitti, rea
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.formats.trajectory import read_kitti
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, first_existing
-from vo.recordings.sources.euroc import camera_folders
-from vo.recordings.sources.listing import Shot, list_images, shots_from_times
+from vo.recordings.sources.listing import Shot, camera_folders, list_images, shots_from_times
 from vo.recordings.sources.pairing import copy_stamps
 
 _log = logging.getLogger(__name__)

@@ -26,6 +26,7 @@ from vo.recordings.sources.images import ImageFile, StoredImage
 
 _log = logging.getLogger(__name__)
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
+_MAX_CAMERAS = 32
 _MISSING = "is missing; it should contain the stamps"
 _TIME_IN_NAME = re.compile(r"(\d{10}[_,-]\d{1,9}|\d+(?:\.\d+)?(?:e\+?\d+)?)\D*$")
 _DATE_IN_NAME = re.compile(
@@ -308,3 +309,9 @@ def _as_written(name: str) -> str:
 def _as_number(name: str) -> str:
     stem = _as_written(name)
     return stem.lstrip("0") or "0" if stem.isdigit() else stem
+
+
+def camera_folders(root: Path, pattern: str) -> list[Path]:
+    """Folders of the cameras 0, 1 and so on up to the last one that exists, such as `cam{}`."""
+    count = max((n for n in range(_MAX_CAMERAS) if (root / pattern.format(n)).is_dir()), default=0)
+    return [root / pattern.format(number) for number in range(count + 1)]
