@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.base.config import Config, MasksConfig
 from vo.base.faults import Fault, FaultKind
-from vo.base.records.focal_length import FocalLength
+from vo.base.records.focal_length import MAX_SIGMA, FocalLength, focal_change
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Estimate, Frame
 from vo.engine.rig.creation import AnyOdometry
@@ -21,8 +21,6 @@ from vo.runs.run_options import RunOptions
 # Lenses found to be wrong by more pixels at the image's edges have bent what was tracked before
 # (KITTI 06: 0.085 m by 11 px; 0.026 by 7.6). Those of KITTI's drive of 2011 are, by 7 px at most.
 _MIN_EDGE_PX = 8.0
-MAX_ZOOM_SIGMA = 0.015
-"""Of the logarithm of a focal length, above which a path is not to be trusted."""
 _ZOOM = FaultKind.FOCAL_LENGTH_CHANGE
 _MIN_CONTRAST_RATIO = 3.0  # of right images to left ones
 
@@ -151,15 +149,9 @@ def _of_other_camera(estimate: Estimate) -> Estimate:
     return replace(estimate, faults=faults)
 
 
-def focal_change(found: tuple[FocalLength, ...]) -> float:
-    """The largest relative change since the first time, 0 if there is none."""
-    changes = [each.focal_px / found[0].focal_px - 1.0 for each in found]
-    return max(changes, key=abs, default=0.0)
-
-
 def zoom_faults(found: tuple[FocalLength, ...]) -> list[Fault]:
     """The fault of a focal length that was followed, if it was; handled if it is exact."""
     if not found:
         return []
-    is_exact = all(each.sigma_px < MAX_ZOOM_SIGMA * each.focal_px for each in found)
+    is_exact = all(each.sigma_px < MAX_SIGMA * each.focal_px for each in found)
     return [Fault(FaultKind.FOCAL_LENGTH_CHANGE, is_exact, focal_change(found))]

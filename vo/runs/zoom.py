@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.records.focal_length import FocalLength
+from vo.base.records.focal_length import MAX_SIGMA, FocalLength, focal_change
 from vo.base.types import Camera, Frame, Ints, Rig
 from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.recordings.sources.rescaling import at_constant_focal_length
@@ -27,7 +27,6 @@ from vo.runs.keyframe_tracking import (
     without_extras,
 )
 from vo.runs.run_options import RunOptions
-from vo.runs.second_pass import MAX_ZOOM_SIGMA, focal_change
 
 _log = logging.getLogger(__name__)
 
@@ -79,7 +78,7 @@ def follow_focal_length(
             break
     change = focal_change(found)
     spread = max((each.sigma_px / each.focal_px for each in found), default=np.inf)
-    if abs(change) < max(_MIN_CHANGE, _MIN_SIGNIFICANCE * min(spread, MAX_ZOOM_SIGMA)):
+    if abs(change) < max(_MIN_CHANGE, _MIN_SIGNIFICANCE * min(spread, MAX_SIGMA)):
         return stream, ()
     return current, found
 
