@@ -11,7 +11,8 @@ from dependencies import home_page, licence, required
 
 PATH = Path(__file__).resolve().parent.parent / "docs" / "licences.md"
 EXTRAS = (
-    *("view", "video", "report", "ros", "foxglove", "learned", "onnxruntime", "cluster", "sweep"),
+    *("view", "video", "report", "hdf5", "las", "e57", "ros", "foxglove", "learned", "onnxruntime"),
+    *("cluster", "sweep"),
 )
 _BEGIN, _END = "<!-- begin of the list -->\n", "<!-- end of the list -->\n"
 

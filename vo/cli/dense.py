@@ -79,7 +79,9 @@ class DenseFiles:
     depth: bool = option(
         "Write the depth of each keyframe, too, as depth/FRAME.tiff.", "--depth", default=False
     )
-    las: Path | None = option("Write the cloud as .las or .laz, too.", default=None, metavar="FILE")
+    cloud: Path | None = option(
+        "Write the cloud as .las, .laz or .e57, too.", default=None, metavar="FILE"
+    )
     nerfstudio: Path | None = option(
         "Write undistorted images, masks, the cloud and transforms.json, for NeRFs and splats.",
         default=None,
@@ -101,7 +103,7 @@ class DenseFiles:
         kinds = not self.no_mesh, not self.no_grid
         lengths = chosen.edge, chosen.far, chosen.segment
         band = chosen.heights()
-        others = self.las, self.nerfstudio, self.colmap, self.rrd
+        others = self.cloud, self.nerfstudio, self.colmap, self.rrd
         return DenseOptions(*lengths, *kinds, chosen.cell, band, self.depth, *others)
 
 

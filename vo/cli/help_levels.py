@@ -19,7 +19,7 @@ FIRST_OPTIONS: Mapping[str, str] = {
     "calibrate": "--output --board --columns --rows --square --marker --model --imu",
     "synth": "--preset --world --motion --camera --mono --seconds --to --force",
     "convert": "--to --start --end --stride --resize --calibration --force",
-    "dense": "--output --edge --far --no-mesh --las --nerfstudio --rrd",
+    "dense": "--output --edge --far --no-mesh --cloud --nerfstudio --rrd",
     "features": "--detector --descriptor --compare --calibration --frame --picture",
     "match": "--output --pairs --calibration --detector --matcher --model --picture --best",
     "recognize": "--database --width --min-confidence --calibration --picture",

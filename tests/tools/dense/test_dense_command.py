@@ -135,10 +135,24 @@ def test_a_broken_off_call_goes_on_and_gives_the_same_bytes(
     assert not (tmp_path / "parts" / dense_module._WORK).exists()
 
 
+def test_a_cloud_in_e57(stereo: Path, tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    options = vo.DenseOptions(edge=0.05, mesh=False, grid=False, cloud=tmp_path / "a.e57")
+    done = vo.dense(stereo, tmp_path / "out", options=options)
+    points = pye57.E57(str(tmp_path / "a.e57")).read_scan(
+        0, colors=True, ignore_missing_fields=True
+    )
+    cloud = points_of(tmp_path / "out" / "cloud.ply")
+    assert len(cloud) == done.points
+    found = np.column_stack([points[f"cartesian{axis}"] for axis in "XYZ"])
+    assert np.abs(found - cloud["xyz"]).max() < 1e-5
+    assert (points["colorRed"] == cloud["rgb"][:, 0]).all()
+
+
 def test_las_and_rerun(stereo: Path, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     pytest.importorskip("rerun")
-    outputs = {"las": tmp_path / "a.laz", "rrd": tmp_path / "a.rrd"}
+    outputs = {"cloud": tmp_path / "a.laz", "rrd": tmp_path / "a.rrd"}
     done = vo.dense(stereo, tmp_path / "out", options=vo.DenseOptions(edge=0.05, **outputs))
     points = laspy.read(tmp_path / "a.laz")
     assert points.header.point_count == done.points
@@ -199,7 +213,7 @@ def test_a_run_that_goes_on_to_its_cloud(room: Path, tmp_path: Path) -> None:
         (["--edge", "0"], "--edge is 0; give a length above 0"),
         (["--far", "nan"], "--far is nan; give a length above 0"),
         (["--segment", "7"], "has no segment 7; it has 0"),
-        (["--las", "a.txt"], "give a name that ends in .las or .laz"),
+        (["--cloud", "a.txt"], "give a name in .las, .laz or .e57"),
         (["/nowhere"], "/nowhere"),
     ],
 )

@@ -50,7 +50,7 @@ def densify(
     """
     options = options or DenseOptions()
     options.check()
-    others = options.las, options.nerfstudio, options.colmap, options.rrd
+    others = options.cloud, options.nerfstudio, options.colmap, options.rrd
     named = [Path(each) for each in others if each]
     refuse_to_overwrite([Path(run)], named)
     record = read_run(Path(run))

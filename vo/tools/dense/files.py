@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 import numpy as np
 
+from vo.base.errors import OutputError
 from vo.base.extras import require
 from vo.base.files.complete_file import complete_file, writing
 from vo.base.types import Bytes, Floats
@@ -20,20 +22,21 @@ _POINT = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 _FACE = np.dtype([("n", "u1"), ("rows", "<i4", 3)])
 _LAS_RGB_FORMAT, _LAS_VERSION = 2, "1.2"
-LAS_SUFFIXES = (".las", ".laz")
+CLOUD_SUFFIXES = (".las", ".laz", ".e57")
 _PICTURE_PX, _MARGIN_PX = 900, 20
 _PATH_BGR = 0, 94, 213
 
 
 def write_cloud(path: Path, cloud: Cloud, comment: str) -> None:
-    """Write points as PLY, or as LAS or LAZ by the suffix.
+    """Write points as LAS, LAZ or E57 by the suffix, else as PLY.
 
     Raises:
         OutputError: the file cannot be written.
-        MissingExtraError: LAS needs the extra `las`.
+        MissingExtraError: LAS needs the extra `las`, E57 the extra `e57`.
     """
-    if path.suffix.lower() in LAS_SUFFIXES:
-        _write_las(path, cloud, comment)
+    if path.suffix.lower() in CLOUD_SUFFIXES:
+        write = _write_e57 if path.suffix.lower() == ".e57" else _write_las
+        write(path, cloud, comment)
         return
     rows = np.zeros(len(cloud.xyz), _POINT)
     rows["xyz"], rows["normal"], rows["rgb"] = cloud.xyz, cloud.normal, cloud.rgb
@@ -83,6 +86,26 @@ def _write_las(path: Path, cloud: Cloud, comment: str) -> None:
     data.red, data.green, data.blue = cloud.rgb.T.astype(np.uint16) * 257
     with writing(path), complete_file(path) as file:
         data.write(file, do_compress=path.suffix.lower() == ".laz")
+
+
+def _write_e57(path: Path, cloud: Cloud, comment: str) -> None:
+    """Single precision about an offset; the scan has an identifier of its own in each file."""
+    pye57 = require("pye57", "e57", "E57 files")
+    if not len(cloud.xyz):
+        raise OutputError(f"{path} cannot be written: an E57 file needs points")
+    offset = np.floor(cloud.xyz.min(axis=0))
+    names = [*(f"cartesian{axis}" for axis in "XYZ"), *(f"color{c}" for c in _CHANNELS)]
+    columns = [*(cloud.xyz - offset).T, *cloud.rgb.T]
+    points = {name: np.ascontiguousarray(each) for name, each in zip(names, columns, strict=True)}
+    with writing(path), complete_file(path) as file, TemporaryDirectory() as folder:
+        made = Path(folder) / "cloud.e57"
+        scan = pye57.E57(str(made), mode="w")
+        scan.write_scan_raw(points, name=comment, translation=offset)
+        scan.close()
+        file.write(made.read_bytes())
+
+
+_CHANNELS = ("Red", "Green", "Blue")
 
 
 def write_grid(folder: Path, grid: Grid, comment: str) -> list[Path]:

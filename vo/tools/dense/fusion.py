@@ -55,7 +55,7 @@ class DenseOptions:
         band: heights above the ground between which something is an obstacle, None for 0.15 to 1.8
             m, or a tenth of the camera's height to all of it without metres.
         depth: whether to write the depth of each keyframe, too, as `depth/FRAME.tiff`.
-        las: file (.las, .laz) for the cloud, too.
+        cloud: file (.las, .laz, .e57) for the cloud, too.
         nerfstudio: folder for undistorted images, masks, the cloud and `transforms.json`.
         colmap: folder for the same images, masks, and a model as COLMAP has it.
         rrd: file for rerun.
@@ -69,7 +69,7 @@ class DenseOptions:
     cell: float | None = None
     band: tuple[float, float] | None = None
     depth: bool = False
-    las: Path | None = None
+    cloud: Path | None = None
     nerfstudio: Path | None = None
     colmap: Path | None = None
     rrd: Path | None = None
@@ -87,8 +87,8 @@ class DenseOptions:
         if self.band is not None and not -np.inf < self.band[0] < self.band[1] < np.inf:
             low, high = self.band
             raise ConfigError(f"`band` is {low:g} to {high:g}; give a lower and a higher height")
-        if self.las is not None and self.las.suffix.lower() not in files.LAS_SUFFIXES:
-            raise ConfigError(f"`las` is {self.las}; give a name that ends in .las or .laz")
+        if self.cloud is not None and self.cloud.suffix.lower() not in files.CLOUD_SUFFIXES:
+            raise ConfigError(f"`cloud` is {self.cloud}; give a name in .las, .laz or .e57")
 
 
 class Densified(NamedTuple):
@@ -230,7 +230,7 @@ class Fusion:
             )
         unit = self._record.unit
         comment = f"{self._record.summary['source']}; lengths in {unit}"
-        written = [folder / "cloud.ply", *([options.las] if options.las else ())]
+        written = [folder / "cloud.ply", *([options.cloud] if options.cloud else ())]
         for path in written:
             files.write_cloud(path, cloud, comment)
         mesh = None if self._field is None else self._field.mesh()
