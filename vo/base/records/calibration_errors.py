@@ -41,6 +41,19 @@ class RightCameraError(NamedTuple):
         return ", ".join(parts + rows)
 
 
+class CameraPoseError(NamedTuple):
+    """Error of the pose of a camera of a rig, relative to camera 0, that is corrected."""
+
+    camera: int
+    angle_deg: float
+    distance_m: float
+
+    @property
+    def in_words(self) -> str:
+        """The error for people."""
+        return f"by {self.angle_deg:.2f}° and {100.0 * self.distance_m:.1f} cm"
+
+
 class LensError(NamedTuple):
     """Error of a lens, or of both lenses of a pair, that was found and is corrected.
 
@@ -83,9 +96,11 @@ class CalibrationErrors(NamedTuple):
             the square.
         right_camera: None without an error.
         lens_error: None without an error.
+        cameras: errors of the poses of the cameras of a rig.
     """
 
     disparity_offset_px: float
     disparity_curve_px: float
     right_camera: RightCameraError | None
     lens_error: LensError | None
+    cameras: tuple[CameraPoseError, ...] = ()

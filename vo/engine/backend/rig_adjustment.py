@@ -194,6 +194,16 @@ def _by_metre(ties: Ties) -> Floats:
     return column.ravel()
 
 
+def reduced_to_bodies(
+    normal: NormalEquations, ties: Ties, columns: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """A^T H A, A^T g, and A^T of further columns (6 K, N), where all K views may move."""
+    of_body = adjoint(inverse(ties.body_from_view))
+    by_column = [_of_body(column, of_body, ties.views) for column in columns.T]
+    gradient = _of_body(normal.gradient, of_body, ties.views)
+    return _of_bodies(normal.hessian, of_body, ties.views), gradient, np.stack(by_column, axis=1)
+
+
 def _of_bodies(by_views: Floats, of_body: Floats, views: int) -> Floats:
     """A^T H A (6 B, 6 B) of H (6 K, 6 K), with the adjoints (K, 6, 6) of the views on their bodies.
 

@@ -20,6 +20,7 @@ from vo.engine.backend.window_problem import Ties, WindowProblem, gauge_of
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
     from vo.engine.backend.bundle_adjustment import AdjustedWindow
+    from vo.engine.backend.rig_extrinsics import ExtrinsicEvidence
 
 # Residuals say how large the errors of this recording are (the variance of unit weight): rooms have
 # a third of the variance of corridors. Median in standard deviations where the factor is 1, and the
@@ -40,6 +41,7 @@ class WindowSolution(NamedTuple):
         calibration_residual: None if it is not determined, or not estimated.
         converged: False if nothing could be optimised; all is then as in the problem.
         metre: of a rig, change of the length of a metre in the map, and the information on it.
+        extrinsics: of a rig, None if they are not estimated.
     """
 
     world_from_cam: Floats
@@ -51,6 +53,7 @@ class WindowSolution(NamedTuple):
     converged: bool
     states: dict[int, Floats]
     metre: tuple[float, float] = (0.0, 0.0)
+    extrinsics: ExtrinsicEvidence | None = None
 
 
 def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
@@ -76,6 +79,7 @@ def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
 
 def _solve_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> WindowSolution:
     from vo.engine.backend.rig_adjustment import adjust_rig  # only rigs need it
+    from vo.engine.backend.rig_extrinsics import extrinsic_evidence
 
     adjusted = adjust_rig(problem, ties, config)
     if adjusted is None:
@@ -84,7 +88,8 @@ def _solve_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> W
     by_views = information_by_images(problem, poses, points, ok, config)
     information, on_metre = adjusted.information(by_views)
     found = poses, adjusted.held, information, points, ok
-    return WindowSolution(*found, None, True, {}, (adjusted.metre, on_metre))
+    evidence = None if ties.cameras is None else extrinsic_evidence(problem, ties, adjusted, config)
+    return WindowSolution(*found, None, True, {}, (adjusted.metre, on_metre), evidence)
 
 
 def unsolved(problem: WindowProblem) -> WindowSolution:

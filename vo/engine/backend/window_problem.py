@@ -92,12 +92,14 @@ class Ties(NamedTuple):
         lever: (K, 3) change of their translations with the length of a metre in the map, where
             that is unknown; None where it is known.
         lever_information: on that length, from earlier windows.
+        cameras: (V,) camera of each view, where the extrinsics are estimated; else None.
     """
 
     body_from_view: Floats
     views: int
     lever: Floats | None = None
     lever_information: float = 0.0
+    cameras: Ints | None = None
 
 
 class Gauge(NamedTuple):

@@ -31,6 +31,7 @@ from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.mapping.tracked_frame import LastFrame
 from vo.engine.odometry import Odometry
+from vo.engine.rig.extrinsics import RigExtrinsics
 from vo.engine.rig.frames import RigFrame, RigPreprocessor
 from vo.engine.rig.mapper import RigMapper
 from vo.engine.rig.policy import RigKeyframePolicy
@@ -92,7 +93,8 @@ class RigOdometry:
         self._tracker = RigTracker(self._map, frontend, config.tracking, tied, self.stopwatch)
         self._optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
         parts = self._map, self._optimizer, config.smoothing, self.stopwatch
-        self._window = RigWindow(*parts, count, self._unknown_lever)
+        self._window = RigWindow(*parts, self._views.cameras, self._unknown_lever)
+        self._extrinsics = RigExtrinsics(tied, self._views.cameras)
         self._instants = size.free + size.fixed
         local_mapper = LocalMapper(self._map, frontend, config.mapping, self.stopwatch)
         self._starter = RigStarter(self._map, local_mapper, frontend, config)
@@ -158,7 +160,7 @@ class RigOdometry:
     @property
     def calibration_errors(self) -> CalibrationErrors:
         """Errors of the calibration that were found and are corrected."""
-        return CalibrationErrors(0.0, 0.0, None, None)
+        return CalibrationErrors(0.0, 0.0, None, None, self._extrinsics.errors)
 
     def snapshot(self) -> Snapshot:
         """The newest frame in view 0, and the local map, before the next frame is tracked."""
@@ -179,7 +181,9 @@ class RigOdometry:
         for number, view in enumerate(self._views.views):
             name = f"cam{view.camera}" + "_2" * (view.camera in cameras[:number])
             image = self._frame.views[number].image0 if self._frame.used[number] else None
-            found.append(FurtherImage(name, image, cam0_from_body @ view.body_from_view))
+            found.append(
+                FurtherImage(name, image, cam0_from_body @ self._extrinsics.body_from_views[number])
+            )
         return tuple(found[1:])
 
     def _process(self, pending: LazyFuture[RigFrame]) -> Estimate:
@@ -259,7 +263,7 @@ class RigOdometry:
         keyframe = self._mapper.add_instant(frame, tracked, self._segment)
         self._trajectory.add_keyframe(keyframe)
         self._apply()
-        self._window.submit()
+        self._window.submit(calibration_weight=self._extrinsics.next_weight())
         self._mapper.extend(frame)
         return keyframe
 
@@ -331,7 +335,7 @@ class RigOdometry:
 
     def _place_views(self) -> None:
         """Place the views on the body, in units of the map."""
-        tied = self._views.body_from_views
+        tied = self._extrinsics.body_from_views.copy()
         tied[:, :3, 3] *= self.metre.length
         self._tracker.body_from_views = tied
 
@@ -339,7 +343,7 @@ class RigOdometry:
         """Translations (V, 3) of the views in metres, where a metre's length is unknown."""
         if self.metre.is_known:
             return None
-        return self._views.body_from_views[:, :3, 3], self.metre.information
+        return self._extrinsics.body_from_views[:, :3, 3], self.metre.information
 
     def _note_metre(self) -> None:
         """Keep the scale of a segment that began without one."""
@@ -359,18 +363,18 @@ class RigOdometry:
     def _apply(self) -> None:
         """Apply the pending window, and move the tracker with its newest keyframe."""
         update = self._window.apply()
-        if update is None:
-            return
-        self._trajectory.update(update.moved)
-        if not self.metre.is_known:
-            self.metre.update(*self._window.metre, self._instants)
-            self._place_views()
-        self._mapper.cull()
-        self._mapper.estimate_normals()
-        count = len(self._views.views)
-        before = update.window.problem.world_from_cam[-count]
-        now = update.window.keyframes[-count].world_from_cam
-        self._tracker.motion.move(orthonormalised(now @ inverse(before)))
+        while update is not None:
+            self._trajectory.update(update.moved)
+            if not self.metre.is_known:
+                self.metre.update(*self._window.metre, self._instants)
+                self._place_views()
+            self._mapper.cull()
+            self._mapper.estimate_normals()
+            count = len(self._views.views)
+            before = update.window.problem.world_from_cam[-count]
+            now = update.window.keyframes[-count].world_from_cam
+            self._tracker.motion.move(orthonormalised(now @ inverse(before)))
+            update = self._extrinsics.correct(self._window, self._tracker)
 
     def _estimate(self) -> Estimate:
         """The newest frame's result."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,6 +65,14 @@ class RigTracker:
         """Continue from a tracked frame."""
         self.motion.update(frame.stamp_ns, tracked.world_from_body)
         self.last = LastRigFrame(frame, tracked)
+
+    def move_views(self, by: Floats) -> None:
+        """Fix the views (V, 4, 4) elsewhere on the body."""
+        self.body_from_views = self.body_from_views @ by
+        if self.last is not None:
+            tracked = self.last.tracked
+            tracked = replace(tracked, body_from_views=tracked.body_from_views @ by)
+            self.last = replace(self.last, tracked=tracked)
 
     def ties(self, frame: RigFrame, world_from_body: Floats) -> RigTies:
         """The views at the times of a frame's images, for a pose of the body."""

@@ -17,7 +17,7 @@ from vo.base.geometry.pair_rectification import central_focal
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.rectification_maps import Maps, wide_maps
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp
-from vo.base.types import Bytes, Camera, Floats, Rig
+from vo.base.types import Bytes, Camera, Floats, Ints, Rig
 
 _GROWTH_PX = 16  # around what masks hide, as in `vo.engine.frontend.static_masks`
 # Beyond this angle from its axis a lens is shown by two views, of at most the second angle.
@@ -55,6 +55,11 @@ class RigViews:
 
     rectified: RectifiedRig
     views: tuple[ViewOfCamera, ...]
+
+    @property
+    def cameras(self) -> Ints:
+        """(V,) camera of each view."""
+        return np.array([view.camera for view in self.views])
 
     @property
     def body_from_views(self) -> Floats:

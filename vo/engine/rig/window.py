@@ -10,10 +10,11 @@ import numpy as np
 from vo.base.config import SmoothingConfig, WindowSize
 from vo.base.geometry.transforms import inverse, orthonormalised
 from vo.base.stopwatch import Stopwatch, timed
-from vo.base.types import Floats
+from vo.base.types import Floats, Ints
 from vo.engine.backend.covariance import update_covariances
 from vo.engine.backend.optimizer import WindowOptimizer
-from vo.engine.backend.sliding_window import SlidingWindow, Window
+from vo.engine.backend.rig_extrinsics import ExtrinsicEvidence
+from vo.engine.backend.sliding_window import SlidingWindow, Window, WindowUpdate
 from vo.engine.backend.solution import WindowSolution
 from vo.engine.backend.window_problem import Ties
 from vo.engine.mapping.keyframe import Keyframe
@@ -36,6 +37,7 @@ class RigWindow(SlidingWindow):
     Attributes:
         metre: change of the length of a metre in the map by the newest result, and the information
             on that length.
+        extrinsics: what the newest result says of them, where that was asked for.
     """
 
     def __init__(
@@ -44,21 +46,36 @@ class RigWindow(SlidingWindow):
         optimizer: WindowOptimizer,
         config: SmoothingConfig,
         stopwatch: Stopwatch,
-        views: int,
+        cameras: Ints,
         lever: Callable[[], tuple[Floats, float] | None],
     ) -> None:
         super().__init__(local_map, optimizer, 1.0, config, stopwatch)
-        self._size = rig_window_size(config, views)
+        self._size = rig_window_size(config, len(cameras))
         self._latency = 2
-        self._views = views
+        self._cameras, self._views = cameras, len(cameras)
         self._lever = lever
         self.metre = 0.0, 0.0
+        self.extrinsics: ExtrinsicEvidence | None = None
+
+    def move_views(self, by: Floats, *, calibration_weight: int) -> WindowUpdate | None:
+        """Fix the views (V, 4, 4) elsewhere on the body, and optimise the map; none is pending."""
+        local_map, before = self._map, self._map.poses
+        for number, keyframe in enumerate(local_map.keyframes):
+            moved = keyframe.world_from_cam @ by[number % self._views]
+            keyframe.world_from_cam = orthonormalised(moved)
+        everything = np.ones(len(local_map), dtype=bool)
+        self._move_landmarks(before, everything)
+        self._refine_landmarks(self._map_problem(np.zeros(len(before), bool)), everything)
+        self.extrinsics = None
+        self._submit(len(before) - self._views, calibration_weight)
+        return self.apply()
 
     @timed("window")
     def submit(self, *, calibration_weight: int = 0) -> None:
         """Submit the newest instants; the result before must have been applied."""
+        self.extrinsics = None
         instants = len(self._map.keyframes) // self._views
-        self._submit(min(self._size.free, instants - 1) * self._views, 0)
+        self._submit(min(self._size.free, instants - 1) * self._views, calibration_weight)
 
     def _window(self, free: int, calibration_weight: int) -> Window | None:
         if len(self._map.keyframes) < 2 * self._views:
@@ -72,6 +89,8 @@ class RigWindow(SlidingWindow):
         ties = Ties(tied, views)
         if lever is not None:
             ties = Ties(tied, views, np.tile(lever[0], (count, 1)), lever[1])
+        elif calibration_weight:
+            ties = Ties(tied, views, cameras=self._cameras)
         return replace(window, problem=replace(window.problem, ties=ties))
 
     def _move_keyframes(self, window: Window, solution: WindowSolution) -> list[Keyframe]:
@@ -92,7 +111,7 @@ class RigWindow(SlidingWindow):
                     tied[:3, 3] += solution.metre[0] * lever[view]
                 keyframe.world_from_cam = orthonormalised(motion @ body @ tied)
         update_covariances(window.keyframes[::views], solution)
-        self.metre = solution.metre
+        self.metre, self.extrinsics = solution.metre, solution.extrinsics
         free = [
             k
             for k, is_held in zip(window.keyframes[::views], solution.held, strict=True)

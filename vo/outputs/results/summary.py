@@ -10,7 +10,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from vo.base.failures import Failure
-from vo.base.records.calibration_errors import CalibrationErrors, LensError, RightCameraError
+from vo.base.records.calibration_errors import (
+    CalibrationErrors,
+    CameraPoseError,
+    LensError,
+    RightCameraError,
+)
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation, are_doubtful
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.focal_length import FocalLength
@@ -61,7 +66,7 @@ _DIGITS: Mapping[object, int | str] = {  # decimals of the numbers of a record, 
 # Keys that are missing where there is nothing to tell.
 _OPTIONAL = (
     *("map", "scale", "world_frames", "positions", "wheel", "inertial", "profile", "live"),
-    *("earlier_session", "marker"),
+    *("earlier_session", "marker", "camera_errors"),
 )
 # Fields that are no keys: reasons, warnings and faults tell them.
 LEFT_OUT = (
@@ -157,6 +162,7 @@ class Summary:
     facts: RunFacts
     right_camera: RightCameraError | None = None
     lens_error: LensError | None = None
+    camera_errors: tuple[CameraPoseError, ...] = ()
     map: MapUse | None = None
     scale: ScaleFindings | None = None
     inertial: InertialUse | None = None
@@ -280,6 +286,7 @@ def summarise(
         disparity_curve_px=round(calibration.disparity_curve_px, 4),
         right_camera=calibration.right_camera,
         lens_error=calibration.lens_error,
+        camera_errors=calibration.cameras,
         main_failure=statistics.main_failure(),
         faults=statistics.faults.records(),
         hidden=tuple(round(ratio, 4) for ratio in found.pop("hidden", ())),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from vo.base.failures import ImageDefect, describe
 from vo.base.faults import FaultKind
 from vo.base.printable import counted
-from vo.base.records.calibration_errors import LensError, RightCameraError
+from vo.base.records.calibration_errors import CameraPoseError, LensError, RightCameraError
 from vo.base.records.closed_loops import MapUse
 from vo.base.records.inertial_use import InertialUse
 from vo.outputs.results.fault_warnings import fault_warnings
@@ -47,6 +47,7 @@ def run_warnings(summary: Summary) -> list[str]:
             [record.kind for record in summary.faults if not record.is_handled],
             is_pair=summary.facts.mode == "stereo",
         ),
+        *map(_camera_warning, summary.camera_errors),
         *far_scene_warnings(summary.median_disparity_px),
         *map_warnings(summary.map, [s.segment for s in summary.segments]),
         *_world_warnings(summary),
@@ -241,6 +242,13 @@ def _right_camera_warning(error: RightCameraError) -> str:
     return (
         f"the right camera differs from its calibration ({error.in_words}); this has been "
         "corrected, but calibrate again: vo calibrate"
+    )
+
+
+def _camera_warning(error: CameraPoseError) -> str:
+    return (
+        f"camera {error.camera} stands otherwise than its calibration says ({error.in_words}); "
+        "this has been corrected, but calibrate again"
     )
 
 
