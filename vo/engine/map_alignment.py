@@ -10,6 +10,8 @@ from vo.base.errors import OutputError
 from vo.base.records.closed_loops import ClosedLoop, MapUse, Relocalisation
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Trajectory
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.markers.marker_problem import MarkerView
 from vo.engine.places.records import Loop
@@ -77,6 +79,11 @@ class MapAlignment:
         """After a frame was tracked: views of markers that it shows once, ids of repeated ones."""
         if self._memory is not None:
             self._memory.markers.see(frame_index, views, repeated)
+
+    def see_keyframe(self, keyframe: Keyframe, frame: PreprocessedFrame) -> None:
+        """After a frame has become a keyframe."""
+        if self._final is not None:
+            self._final.see(keyframe, frame)
 
     def forget_from(self, frame_index: int) -> None:
         """Forget all keyframes from a frame on, which are tracked anew."""

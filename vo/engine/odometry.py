@@ -94,8 +94,7 @@ class Odometry:
     def locate(self, frame: Frame) -> Estimate:
         """The pose of the next frame, at once.
 
-        The rest, which the next frame needs, is left to `update_map`; keyframes that it adds or
-        moves are in the next estimate.
+        The rest is left to `update_map`; keyframes that it adds or moves are in the next estimate.
         """
         self._locate(self._preprocessor.submit(frame))
         return self._estimate()
@@ -217,17 +216,18 @@ class Odometry:
         else:  # new landmarks of a single camera must be optimised before they are used
             self._mapper.extend(keyframe, frame)
             self._updater.add_keyframe(keyframe)
+        self.map_alignment.see_keyframe(keyframe, frame)
         return keyframe
 
     @timed("start")
     def _start(self, frame: PreprocessedFrame) -> FrameResult:
         """Create the first map of a segment, where a frame allows it."""
-        segment = self._recovery.segment
-        keyframe = self._creator.create_map(frame, self._tracker.last_pose, segment)
+        keyframe = self._creator.create_map(frame, self._tracker.last_pose, self._recovery.segment)
         if isinstance(keyframe, Failure):
             return FrameResult(frame, failure=keyframe)
         frame = self._recovery.start(frame)
         self._updater.add_keyframe(keyframe)
+        self.map_alignment.see_keyframe(keyframe, frame)
         tracked = as_tracked_frame(self._map, keyframe)
         self._tracker.restart(frame, tracked)
         return FrameResult(frame, tracked, is_keyframe=True, keyframe=keyframe)

@@ -128,7 +128,7 @@ def make_stages(
     predictor = _predictor(reader, components.inertial_noise, rectified)
     inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
     memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
-    final = _final(config, trajectory, stopwatch)
+    final = _final(frontend, config, trajectory, stopwatch)
     stores = [each for each in (components.keyframe_store, memory, final) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
@@ -198,14 +198,14 @@ def _memory(
 
 
 def _final(
-    config: Config, trajectory: TrajectoryBuilder, stopwatch: Stopwatch
+    frontend: Frontend, config: Config, trajectory: TrajectoryBuilder, stopwatch: Stopwatch
 ) -> FinalAdjustment | None:
     """Not in a map."""
     if config.refinement.rounds == 0 or config.memory.map:
         return None
     from vo.engine.memory.final_adjustment import FinalAdjustment
 
-    return FinalAdjustment(trajectory, config, stopwatch)
+    return FinalAdjustment(trajectory, frontend, config, stopwatch)
 
 
 def _predictor(

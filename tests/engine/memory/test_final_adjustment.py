@@ -11,9 +11,14 @@ from room_course import ate
 
 from vo.base.config import PatchConfig, load_config
 from vo.base.geometry.rectification import RectifiedRig
+from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.engine.backend.loop_adjustment import AdjustedPath, Motions, path_covariance
+from vo.engine.frontend.frontend import make_frontend
+from vo.engine.frontend.lazy_future import finished
+from vo.engine.frontend.orb import OrbExtractor
 from vo.engine.frontend.patch_alignment import PatchAligner
-from vo.engine.memory.rematching import PathViews, rematched
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.memory.rematching import PathViews, rematched, with_depths
 from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
 from vo.runs.run_recording import run
@@ -64,6 +69,35 @@ def test_landmarks_are_found_in_all_keyframes_that_show_them() -> None:
     known = np.isfinite(found.disparity)
     assert (found.keyframe[known] == 0).all()
     assert np.count_nonzero(known) == len(views.points)
+
+
+def test_depths_of_landmarks_without_any_are_measured_in_the_pairs_of_all_keyframes() -> None:
+    """Those of a landmark of which a disparity is known stay as they are."""
+    rig = replace(_RIG, baseline_m=0.2)  # 10 px at the wall
+    views, patches = _views(), PatchAligner(PatchConfig(half_px=4))
+    is_even = views.point % 2 == 0
+    views = replace(views, disparity=np.where(is_even, views.disparity, np.nan))
+    shift, pairs = np.array([[1.0, 0.0, -10.0], [0.0, 1.0, 0.0]]), []
+    for k, image in enumerate(views.images):
+        right = cv2.warpAffine(image, shift, (320, 240))
+        features = finished(OrbExtractor(load_config().features).extract(image))
+        pairs.append(PreprocessedFrame(k, k, (image, right), (), (features, features)))
+    found = rematched(views, views, rig, patches)
+    stereo = make_frontend(load_config("best")).stereo
+    both = with_depths(found, [*pairs[:-1], None], rig, stereo)
+    is_new = (found.point % 2 == 1) & (found.keyframe < _COUNT - 1)
+    np.testing.assert_array_equal(both.disparity[~is_new], found.disparity[~is_new])
+    assert np.isfinite(both.disparity[is_new]).mean() > 0.9
+    assert np.nanmedian(np.abs(both.disparity[is_new] - 10.0)) < 0.02
+    assert np.isnan(both.disparity[found.keyframe == _COUNT - 1]).all()
+    # A right image whose correction changed after its keyframe: as it would be measured now.
+    later = replace(pairs[-1], corrected=VerticalDisparity(roll_px=0.5))
+    turned = with_depths(found, [*pairs[:-1], later], rig, stereo)
+    x = (found.image_xy[:, 0] - 10.0 - rig.cx) / rig.fx
+    y = (found.image_xy[:, 1] - rig.cy) / rig.fy
+    change = later.corrected.horizontal_px(x, y)
+    off = turned.disparity[is_new] - both.disparity[is_new] - change[is_new]
+    assert np.nanmax(np.abs(off)) < 0.01
 
 
 def test_nothing_is_searched_behind_a_mask_or_outside_of_the_image() -> None:

@@ -119,15 +119,20 @@ def path_covariance(
     return np.concatenate([np.zeros((1, 6, 6)), 0.5 * (own + np.swapaxes(own, 1, 2))])
 
 
-def k1_step(problem: WindowProblem, config: SmoothingConfig) -> float:
-    """How much larger k1 of the one camera is than that of the pixels, together with all poses."""
+def calibration_step(problem: WindowProblem, config: SmoothingConfig) -> Floats:
+    """Errors of the calibration that go with the path, estimated together with all poses.
+
+    With one camera (1,) how much larger k1 is than that of the pixels; with two (2,) offset and
+    curve of disparities, see `RectifiedRig.disparity_error`.
+    """
     first = np.arange(len(problem.world_from_cam)) == 0
     bundle = Bundle(replace(problem, fixed=first), _usable(problem), config)
     normal = bundle.normal_equations(problem.world_from_cam, with_calibration=True)
-    size = 6 * (len(first) - 1) + 1
+    size = 6 * (len(first) - 1) + bundle.calibration_size
     hessian = normal.hessian[:size, :size]
     damped = hessian + 1e-9 * np.diag(np.diag(hessian))  # the scale of the path is free
-    return float(-np.linalg.solve(damped, normal.gradient[:size])[-1])
+    step = -np.linalg.solve(damped, normal.gradient[:size])
+    return np.asarray(step[-bundle.calibration_size :])
 
 
 def _usable(problem: WindowProblem) -> Bools:

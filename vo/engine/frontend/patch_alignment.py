@@ -118,15 +118,7 @@ def align_between(
     half_px: int,
     iterations: int = _MAX_ITERATIONS,
 ) -> Alignment:
-    """Find patches in several images.
-
-    Args:
-        patches: the N patches.
-        targets: (T, H, W) uint8 stack of images.
-        target: (N,) index of the image in which each patch is searched.
-        start_xy: (N, 2) pixels to start from.
-        half_px: half side of a patch, which has 2 * half_px + 1 pixels a side.
-        iterations: maximum number of steps.
+    """Find N patches, of 2 * half_px + 1 pixels a side, as `PatchAligner.align_in` does.
 
     Raises:
         ValueError: patches are too large.

@@ -49,13 +49,10 @@ class KeyframeStore(Protocol):
     def add(
         self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
     ) -> None:
-        """Take over a keyframe.
+        """Take over a keyframe, whose pose is changed only where the calibration is corrected.
 
-        Args:
-            keyframe: its pose is changed only where the calibration is corrected.
-            landmarks: returns copies of the landmarks that it observes; to be called before this
-                call ends.
-            image: (H, W) its rectified image of camera 0, overwritten after the call.
+        `landmarks` returns copies of those that it observes, until this call ends; its rectified
+        image (H, W) of camera 0 is overwritten after it.
         """
         ...
 

@@ -20,15 +20,21 @@ from vo.base.geometry.similarity import Similarity
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Bytes, Floats, Ints
-from vo.engine.backend.loop_adjustment import AdjustedPath, adjust_path, k1_step, path_covariance
+from vo.engine.backend.loop_adjustment import (
+    AdjustedPath,
+    adjust_path,
+    calibration_step,
+    path_covariance,
+)
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import WindowProblem
-from vo.engine.frontend.patch_alignment import PatchAligner
+from vo.engine.frontend.frontend import Frontend
+from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.memory.loop_bundle import loops_inside, measured_motions, with_scale_kept
-from vo.engine.memory.rematching import PathViews, rematched
+from vo.engine.memory.rematching import PathViews, rematched, with_depths
 from vo.engine.places.records import Loop, RegisteredKeyframes
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
@@ -43,6 +49,9 @@ _MIN_DECREASE = 1e-6  # of the cost: with 1e-4 steps end before a drift of the s
 # Residuals in standard deviations above which observations are dropped, after a round and after
 # the last one.
 _GATE, _LAST_GATE = 4.0, 0.6
+# Error of disparities from which further ones would change the scale of the path: real
+# pairs have 0.09 px and more at the sides, rendered ones at most 0.03.
+_MAX_DISPARITY_ERROR_PX = 0.05
 
 
 class _Stored(NamedTuple):
@@ -66,13 +75,26 @@ class _Stored(NamedTuple):
 class FinalAdjustment:
     """Keeps all keyframes with their images, and adjusts paths at the end; a `KeyframeStore`."""
 
-    def __init__(self, trajectory: TrajectoryBuilder, config: Config, stopwatch: Stopwatch) -> None:
+    def __init__(
+        self,
+        trajectory: TrajectoryBuilder,
+        frontend: Frontend,
+        config: Config,
+        stopwatch: Stopwatch,
+    ) -> None:
         self.stopwatch = stopwatch
         self._trajectory = trajectory
         self._config = config
-        self._patches = PatchAligner(config.patches)
+        self._patches, self._stereo = frontend.patches, frontend.stereo
         self._stored: dict[int, _Stored] | None = {}
+        self._pairs: dict[int, PreprocessedFrame] = {}
         self._is_finished = False
+
+    def see(self, keyframe: Keyframe, frame: PreprocessedFrame) -> None:
+        """Keep the images of a new keyframe, where they are a pair."""
+        if self._stored is not None and frame.right is not None:
+            kept = replace(frame, pyramid=(), misled=(), second_features=())
+            self._pairs[keyframe.id] = kept
 
     def add(
         self, keyframe: Keyframe, landmarks: Callable[[], StoredLandmarks], image: Bytes
@@ -86,15 +108,16 @@ class FinalAdjustment:
                 "at the end, which is left out",
                 _MAX_KEYFRAMES,
             )
-            self._stored = None
+            self._stored, self._pairs = None, {}
             return
         known = landmarks()
         order = np.argsort(keyframe.landmark)
         order = order[np.isin(keyframe.landmark[order], known.id, assume_unique=True)]
         cam_from_world = inverse(keyframe.world_from_cam)
+        pair = self._pairs.get(keyframe.id)
         self._stored[keyframe.id] = _Stored(
             keyframe,
-            image.copy(),
+            image.copy() if pair is None else pair.image0,
             known.id,
             transform_points(cam_from_world, known.xyz),
             known.normal @ cam_from_world[:3, :3].T,
@@ -108,6 +131,7 @@ class FinalAdjustment:
         if self._stored is not None:
             kept = {k: s for k, s in self._stored.items() if s.keyframe.frame.index < frame_index}
             self._stored = kept
+            self._pairs = {k: p for k, p in self._pairs.items() if p.index < frame_index}
 
     @timed("adjustment")
     def finish(
@@ -129,6 +153,7 @@ class FinalAdjustment:
             if adjusted is not None:
                 self._trajectory.move_keyframes(adjusted, _SESSION)
                 moved.append(adjusted)
+        self._pairs = {}
         return moved
 
     def _adjusted(
@@ -147,18 +172,18 @@ class FinalAdjustment:
         has_lens_error = rig.k1_error != 0.0 and not rig.is_metric
         inside = loops_inside(registered, loops)
         motions = measured_motions(inside, registered.scale)
+        pairs = [self._pairs.get(each.keyframe.id) for each in stored]
         measured = views = _views(registered, stored)
+        has_right = any(pair is not None for pair in pairs)
+        takes_depths = has_right and bool(np.isfinite(measured.disparity).any())
         for number in range(rounds + 1):
             if number < rounds:
                 views = rematched(views, measured, rig, self._patches)
+                if number > 0 and takes_depths:
+                    views = with_depths(views, pairs, rig, self._stereo)
             if not _is_connected(views, _MIN_SHARED_BY_SENSOR if by_sensor else _MIN_SHARED):
                 return None
-            found = adjust_path(
-                with_measured_noise(self._problem(views, rig)),
-                motions,
-                smoothing,
-                _MIN_DECREASE,
-            )
+            found = adjust_path(self._weighted(views, rig), motions, smoothing, _MIN_DECREASE)
             if found is None:
                 return None
             change = np.linalg.norm((found.world_from_cam - views.world_from_cam)[:, :3, 3], axis=1)
@@ -169,15 +194,17 @@ class FinalAdjustment:
                 *(float(np.sqrt(np.mean(change**2))), float(change.max())),
             )
             if number < rounds:
-                if has_lens_error:
-                    step = k1_step(with_measured_noise(self._problem(views, rig)), smoothing)
-                    rig = rig.with_k1_error(rig.k1_error + step)
+                if has_lens_error or (number == 0 and takes_depths):
+                    step = calibration_step(self._weighted(views, rig), smoothing)
+                    if has_lens_error:
+                        rig = rig.with_k1_error(rig.k1_error + float(step[0]))
+                    else:
+                        takes_depths = _is_small(step, rig)
                 off, _ = residuals(self._problem(views, rig), views.world_from_cam, views.points)
                 gate = _GATE if number < rounds - 1 else _LAST_GATE
                 views = views.select(np.flatnonzero(off < gate))
         found = AdjustedPath(views.world_from_cam, views.points)
-        weighted = with_measured_noise(self._problem(views, rig))
-        covariance = path_covariance(weighted, found, motions, smoothing)
+        covariance = path_covariance(self._weighted(views, rig), found, motions, smoothing)
         if rig.is_metric:
             adjusted = replace(registered, world_from_cam=views.world_from_cam)
             return adjusted if covariance is None else replace(adjusted, covariance=covariance)
@@ -189,6 +216,9 @@ class FinalAdjustment:
         if by_sensor:
             return _as_whole_where(kept, registered)  # and errors of metre and vertical stay
         return replace(kept, covariance=covariance)
+
+    def _weighted(self, views: PathViews, rig: RectifiedRig) -> WindowProblem:
+        return with_measured_noise(self._problem(views, rig))
 
     def _problem(self, views: PathViews, rig: RectifiedRig) -> WindowProblem:
         return views.problem(rig, self._config.stereo.sigma_disparity_px)
@@ -228,6 +258,12 @@ def _as_whole_where(
     moved = Similarity(unit, turn, old[0, :3, 3] - unit * turn @ poses[0, :3, 3])
     scale = adjusted.scale * unit
     return replace(adjusted, world_from_cam=moved.transform_poses(poses), scale=scale)
+
+
+def _is_small(bias: Floats, rig: RectifiedRig) -> bool:
+    """Whether an error of disparities is, in the middle and at the sides of images."""
+    edge = max(rig.cx, rig.width - rig.cx) / rig.fx
+    return bool((np.abs(bias) * (1.0, edge**2) < _MAX_DISPARITY_ERROR_PX).all())
 
 
 def _is_connected(views: PathViews, fewest: int) -> bool:

@@ -6,6 +6,7 @@ known, and each landmark is searched wherever it should be in view: for longer, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,11 +16,14 @@ from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Bytes, Floats, Ints
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.frontend.patch_alignment import PatchAligner, Patches
+from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.frontend.stereo_matching import StereoMatcher
 from vo.engine.geometry.image_masks import used_at
-from vo.engine.geometry.patch_prediction import predict_patches
+from vo.engine.geometry.patch_prediction import PatchPrediction, predict_patches
 from vo.engine.geometry.surfaces import surface_normals
 
 _BORDER_PX = 8.0  # of an image, where no patch is searched
+_MAX_MEDIANS = 3.0  # errors of new disparities of a landmark, relative to those of most
 _MAX_SCALE = 3.0  # size ratio of a patch and its reference
 # Standard deviations of aligned positions as in `tracking.landmark_alignment`.
 _MEDIAN_SIGMA_PX, _CONSTANT_VARIANCE, _MAX_SIGMA = 0.06, 0.4, 4.0
@@ -62,6 +66,13 @@ class PathViews:
             image_xy=self.image_xy[chosen],
             disparity=self.disparity[chosen],
             sigma_px=self.sigma_px[chosen],
+        )
+
+    def predicted(self, k: int, rows: Ints, reference: Ints, rig: RectifiedRig) -> PatchPrediction:
+        """How keyframe k should see landmarks (n,) whose patches are in keyframes (M,)."""
+        camera, poses = np.full(len(rows), k), self.world_from_cam
+        return predict_patches(
+            self.points, self.normals, reference, rows, camera, poses, rig.intrinsics
         )
 
     def problem(self, rig: RectifiedRig, sigma_disparity_px: float) -> WindowProblem:
@@ -120,6 +131,43 @@ def rematched(
     return found.select(np.lexsort((point, keyframe)))
 
 
+def with_depths(
+    views: PathViews,
+    pairs: Sequence[PreprocessedFrame | None],
+    rig: RectifiedRig,
+    stereo: StereoMatcher,
+) -> PathViews:
+    """Disparities, in the pairs of the K keyframes, of landmarks of which none was measured.
+
+    Further ones of the others err by what theirs do: the patch is the same. Landmarks whose
+    disparities fit the path badly, such as edges of objects, keep none.
+    """
+    disparity, error = views.disparity.copy(), np.full(len(views.point), np.nan)
+    measured = np.bincount(views.point, np.isfinite(disparity), len(views.points)) > 0
+    newest = next((pair.corrected for pair in reversed(pairs) if pair is not None), None)
+    for k, pair in enumerate(pairs):
+        rows = np.flatnonzero((views.keyframe == k) & ~measured[views.point])
+        pose, point = views.world_from_cam[k], views.points[views.point[rows]]
+        depth = transform_points(inverse(pose), point)[:, 2]
+        rows, depth = rows[ahead := depth > 1e-6], depth[ahead]
+        if pair is None or newest is None or len(rows) == 0:
+            continue
+        xy, here = views.image_xy[rows], np.full(len(views.points), k)
+        slope = views.predicted(k, views.point[rows], here, rig).slope
+        expected = rig.fx * rig.baseline_m / depth
+        found = stereo.measure(pair, xy, expected, rig, slope)
+        x, y = (xy[:, 0] - found - rig.cx) / rig.fx, (xy[:, 1] - rig.cy) / rig.fy
+        change = newest.horizontal_px(x, y) - pair.corrected.horizontal_px(x, y)
+        disparity[rows] = found + change
+        error[rows] = disparity[rows] - expected
+    new = np.flatnonzero(np.isfinite(error))
+    if len(new):
+        _, of = np.unique(views.point[new], return_inverse=True)
+        squared = np.bincount(of, error[new] ** 2) / np.bincount(of)
+        disparity[new[squared[of] > _MAX_MEDIANS**2 * np.median(squared)]] = np.nan
+    return replace(views, disparity=disparity)
+
+
 def _by_point(views: PathViews) -> Ints:
     """Observations ordered by landmark, then by keyframe."""
     return np.lexsort((views.keyframe, views.point))
@@ -140,15 +188,7 @@ def _found(
     v = rig.fy * at[:, 1] / at[:, 2] + rig.cy
     rows = rows[(np.abs(u - rig.cx) < rig.width) & (np.abs(v - rig.cy) < rig.height)]
     reference, reference_xy = references
-    seen = predict_patches(
-        views.points,
-        views.normals,
-        reference,
-        rows,
-        np.full(len(rows), k),
-        views.world_from_cam,
-        rig.intrinsics,
-    )
+    seen = views.predicted(k, rows, reference, rig)
     expected = rig.distort(seen.xy)
     farthest = (rig.width - _BORDER_PX, rig.height - _BORDER_PX)
     with np.errstate(invalid="ignore"):
