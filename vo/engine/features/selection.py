@@ -22,13 +22,8 @@ def select(
 ) -> Detections:
     """At most `count` detections of an image of shape (H, W), strongest first within a rank.
 
-    Args:
-        detections: strongest first.
-        count: maximum number.
-        shape: of the image.
-        how: `grid` takes the best of every cell of a grid, then the second best, and so on; `ssc`
-            suppresses neighbours of stronger ones as far as the count allows; `strongest` ignores
-            where they are.
+    `grid` takes the best of every cell, then the second best, and so on; `ssc` drops neighbours
+    of stronger ones as far as the count allows; `strongest` ignores where they are.
     """
     if len(detections) <= count:
         return detections

@@ -54,13 +54,9 @@ class StereoMatcher:
     ) -> Floats:
         """Sub-pixel disparities (n,) at pixels (n, 2) of the left image, NaN where there is none.
 
-        Args:
-            frame: the frame; without right image and depth all disparities are NaN.
-            xy: (n, 2) pixels in the left image.
-            guess: (n,) expected disparities.
-            rig: the rectified cameras.
-            slope: (n, 2) change of inverse depth from pixel to pixel, relative to it, 1/px: the
-                right camera sees the patch of an inclined surface sheared. None if unknown.
+        `guess` (n,) is expected; `slope` (n, 2), 1/px, is the change of inverse depth relative to
+        it, as the right camera sees inclined surfaces sheared. Without right image and depth all
+        are NaN.
         """
         if frame.depth is not None:
             return disparity_from_depth(frame.depth, xy, rig)
@@ -155,10 +151,7 @@ def disparity_from_depth(depth: Floats32, image_xy: Floats, rig: RectifiedRig) -
     Landmarks, residuals and windows treat it like a stereo disparity. Between pixels inverse depth
     is interpolated, which is exact on planes; at edges there is none, as both sides are possible.
 
-    Args:
-        depth: (H, W) metres along the optical axis, 0 where unknown.
-        image_xy: (n, 2) pixels.
-        rig: the rectified camera with its virtual baseline.
+    Depth (H, W) is in metres along the optical axis, 0 where unknown.
 
     Source: Mur-Artal and Tardos, ORB-SLAM2, 2017, eq. 1.
     """

@@ -136,14 +136,8 @@ def epipolar_segments(
 ) -> tuple[Floats, Floats, Bools]:
     """Ends of the epipolar segments of pixels.
 
-    Args:
-        xy: (n, 2) undistorted pixels of the first view.
-        second_from_first: (4, 4).
-        nearest: minimum depth in the first view.
-        farthest: maximum depth there.
-        min_depth_ratio: minimum of a point's depth in the second view relative to its depth in the
-            first; nearer points are cut off the segment when the camera moves towards them.
-        intrinsics: of both views.
+    Of undistorted pixels (n, 2), for depths from `nearest` to `farthest` in the first view. Where
+    the depth in the second is less than `min_depth_ratio` of that, the segment is cut off.
 
     Returns:
         Undistorted pixels (n, 2) in the second view of the nearest and of the farthest point, and

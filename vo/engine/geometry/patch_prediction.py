@@ -47,15 +47,9 @@ def predict_patches(
     The warp is the finite difference of the projection over one pixel of the reference: both
     neighbours of a point are intersected with its plane, then projected into the target.
 
-    Args:
-        points: (M, 3) in the world.
-        normals: (M, 3) of the planes, of any length; the optical axis of the reference camera if
-            unknown.
-        reference: (M,) row in world_from_cam of each point's reference camera.
-        point: (N,) row in points of each pair.
-        camera: (N,) row in world_from_cam of each pair's target camera.
-        world_from_cam: (K, 4, 4).
-        intrinsics: of all cameras.
+    Points and normals (M, 3) of planes are in the world, with the row (M,) of the reference camera;
+    pairs are rows (N,) of points and of target cameras in world_from_cam (K, 4, 4). Where a normal
+    is unknown it is the optical axis of the reference camera.
 
     Source: Forster et al., "SVO", 2014, sec. IV-B, where patches are parallel to the image plane
         of their reference camera.
@@ -95,14 +89,8 @@ def points_in_view(
 ) -> PointsInView:
     """Points that the last camera sees; cheaper than `predict_patches`.
 
-    Args:
-        points: (M, 3) in the world.
-        reference: (M,) row in world_from_cam of each point's reference camera.
-        world_from_cam: (K, 4, 4); the last is the camera.
-        intrinsics: of all cameras.
-        max_scale: exclusive maximum of the ratio of scales between target and reference, or its
-            inverse.
-        bounds: min u, min v (inclusive), max u, max v (exclusive), in undistorted pixels.
+    `reference` (M,) are rows in world_from_cam (K, 4, 4), the last is the camera. Scales differ
+    by less than `max_scale`; `bounds` are min u, min v, and max u, max v (exclusive), undistorted.
     """
     return PointsInView(
         *_in_view(

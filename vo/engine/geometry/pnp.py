@@ -55,13 +55,8 @@ def refine_pose(
     First with all observations, then, after convergence or half of the iterations, without
     outliers.
 
-    Args:
-        cam_from_world: (4, 4) first guess.
-        points: (N, 3) in the world.
-        observed: their N observations.
-        intrinsics: of the camera.
-        focal_baseline: fx * baseline in px m, 0 in mono.
-        gate: residual, in standard deviations, from which an observation is an outlier.
+    `focal_baseline` is fx * baseline in px m, 0 in mono; outliers are above `gate` standard
+    deviations.
 
     Source: Huber, "Robust Estimation of a Location Parameter", 1964; the two-stage rejection
         follows Mur-Artal et al., "ORB-SLAM", 2015, sec. V.

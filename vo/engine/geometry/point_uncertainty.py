@@ -20,14 +20,8 @@ def position_sigma(
 ) -> Floats:
     """Standard deviation (M,) of points in metres: the root of the trace of their covariance.
 
-    Args:
-        points: (M, 3) in the world.
-        centres: (K, 3) camera centres in the world.
-        point: (N,) row in points of each observation.
-        camera: (N,) row in centres of each observation.
-        observed: the N observations; pixels are taken to be near the principal point.
-        focal_px: focal length.
-        focal_baseline: focal_px * baseline in px m, 0 in mono.
+    N observations by rows of points (M, 3) and of camera centres (K, 3) in the world, taken to be
+    near the principal point; `focal_baseline` is in px m, 0 in mono.
 
     Returns:
         (M,); infinite where the observations do not determine the depth.

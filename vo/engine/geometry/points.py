@@ -66,14 +66,8 @@ def point_views(
 ) -> PointViews:
     """Order observations by point, without those of points (M,) that are not ok.
 
-    Args:
-        point_ok: (M,).
-        point: (N,) row of the point of each observation.
-        camera: (N,) row of the observing pose.
-        observed: the N observations.
-        intrinsics: of all cameras.
-        focal_baseline: fx * baseline in px m, 0 in mono.
-        huber: residual, in standard deviations, from which an observation is weighted down.
+    N observations by rows of points and cameras; `focal_baseline` is fx * baseline in px m, 0 in
+    mono; residuals above `huber` standard deviations weigh less.
     """
     starts, order = _by_points(point_ok, point)
     return PointViews(
@@ -99,12 +93,8 @@ def best_points(
 ) -> tuple[Floats, float]:
     """Minimise the Huber-weighted errors of each point's observations with fixed poses.
 
-    Args:
-        points: (M, 3) first guess, in the world.
-        cam_from_world: (K, 4, 4), or (K, 3, 4).
-        views: the observations.
-        steps: maximum of Levenberg-Marquardt steps per point.
-        tolerance: relative decrease of a point's cost at which it has converged.
+    From `points` (M, 3) in the world, by at most `steps` of Levenberg and Marquardt each, until its
+    cost decreases by less than `tolerance`, relative to it.
 
     Returns:
         Points (M, 3), and half the robust sum of squares of all observations. Points that cannot be

@@ -45,12 +45,7 @@ def surface_normals(
 ) -> Floats:
     """Surface normals (n, 3) of any length in the world, at some points.
 
-    Args:
-        xy: (N, 2) undistorted pixels of points.
-        depth: (N,) positive depths.
-        of: (n,) rows of the points to compute.
-        world_from_cam: (4, 4) of the observing camera.
-        intrinsics: of that camera.
+    Of undistorted pixels (N, 2) with positive depths (N,) those `of` (n,), seen by a camera (4, 4).
     """
     fx, fy, cx, cy = intrinsics
     slope, at = inverse_depth_slopes(xy, 1.0 / depth, of), xy[of] - (cx, cy)

@@ -18,10 +18,7 @@ def triangulate(
 
     It needs no SVD, and the optimizer refines the points.
 
-    Args:
-        second_from_first: (4, 4).
-        rays_first: (N, 2) normalised image points (x/z, y/z).
-        rays_second: (N, 2) the same in the second view.
+    `second_from_first` (4, 4), normalised image points (N, 2), x/z and y/z, in both views.
 
     Returns:
         Points (N, 3) in the first camera's frame, with negative depth where rays diverge, infinite
@@ -107,14 +104,9 @@ def triangulate_pixels(
 ) -> TriangulatedPoints:
     """Triangulate matched pixels and check the points.
 
-    Args:
-        second_from_first: (4, 4).
-        xy_first: (N, 2) undistorted pixels.
-        xy_second: (N, 2) the same in the second view.
-        intrinsics: of both views.
-        min_parallax_rad: minimum angle between the rays.
-        min_parallax_ratio: the same relative to the angle by which a point has moved in the image.
-        max_error_px: exclusive maximum of the reprojection error in either view.
+    Undistorted pixels (N, 2) of both views; rays must differ by `min_parallax_rad`, and by
+    `min_parallax_ratio` of the angle by which the point has moved in the image; errors of
+    reprojection must be below `max_error_px` in either view.
     """
     fx, fy, cx, cy = intrinsics
     focal, centre = np.array([fx, fy]), np.array([cx, cy])

@@ -133,12 +133,7 @@ class LocalMap:
     ) -> Keyframe:
         """Add a keyframe without observations; the oldest one leaves if there is no room.
 
-        Args:
-            frame: which frame it is.
-            image: (H, W) its rectified image of camera 0.
-            world_from_cam: (4, 4).
-            keypoints: its N features.
-            free: (N,) features without a landmark.
+        `image` (H, W) is the rectified one of camera 0; `free` (N,) are features without landmark.
         """
         if len(self.keyframes) - self._stored == self._newest:
             self._hand_over(self.keyframes[self._stored], self._stores)

@@ -33,13 +33,7 @@ def sparse_image_alignment(
 ) -> Floats | None:
     """last_from_cam (4, 4) at which landmarks look as in the last frame; None if it is unclear.
 
-    Args:
-        local_map: the map.
-        last: the last tracked frame and its landmarks.
-        world_from_last: (4, 4) its pose.
-        frame: the frame.
-        predicted: (4, 4) world_from_cam to start from.
-        velocity: of the camera during the readout; None with a global shutter.
+    `last` and its pose (4, 4) are of the frame before; `predicted` (4, 4) is where to start.
     """
     rig = local_map.rig
     rows = local_map.rows(last.ids)

@@ -182,10 +182,7 @@ class Tracker:
         Where the pair gives no pose, the left image alone is tried. A step that the motion before
         does not support is tried again from other initial poses.
 
-        Args:
-            frame: the frame.
-            last_from_cam: (4, 4) from `align_to_last`.
-            is_lost: whether the frame before was not tracked.
+        `last_from_cam` (4, 4) is from `align_to_last`.
         """
         tracked = self._confirmed(frame, last_from_cam, is_lost=is_lost)
         if tracked is None and frame.has_disparity and self._steps.knows_motion:
