@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+Item = TypeVar("Item")
 
 
 class LazyFuture(Generic[T]):
@@ -40,3 +41,23 @@ class LazyFuture(Generic[T]):
 def finished(value: T) -> LazyFuture[T]:
     """A future whose result is there already."""
     return LazyFuture(lambda: value, None)
+
+
+def each_started_early(
+    items: Iterable[Item], submit: Callable[[Item], LazyFuture[T]]
+) -> Iterator[LazyFuture[T]]:
+    """The futures of all items, each started before the one before it is used."""
+    waiting: LazyFuture[T] | None = None
+    try:
+        for item in items:
+            coming = submit(item)
+            coming.start()
+            if waiting is not None:
+                yield waiting
+            waiting = coming
+    except Exception:
+        if waiting is not None:  # an item that was read before the error still counts
+            yield waiting
+        raise
+    if waiting is not None:
+        yield waiting

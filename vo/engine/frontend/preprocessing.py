@@ -21,7 +21,7 @@ from vo.engine.frontend.contrast import ContrastCorrection
 from vo.engine.frontend.image_faults import ImageFaults, size_faults
 from vo.engine.frontend.image_fixed import ImageFixed, ImageFixedDetector
 from vo.engine.frontend.image_repetition import Repetition, RepetitionDetector
-from vo.engine.frontend.lazy_future import LazyFuture, finished
+from vo.engine.frontend.lazy_future import LazyFuture, each_started_early, finished
 from vo.engine.frontend.missing_rows import MissingRows
 from vo.engine.frontend.pair_check import PairCheck
 from vo.engine.frontend.pair_matching import View
@@ -186,20 +186,7 @@ class FramePreprocessor:
 
     def ahead(self, frames: Iterable[Frame]) -> Iterator[LazyFuture[PreprocessedFrame]]:
         """All frames, each started while the one before it is tracked."""
-        waiting: LazyFuture[PreprocessedFrame] | None = None
-        try:
-            for frame in frames:
-                coming = self.submit(frame)
-                coming.start()
-                if waiting is not None:
-                    yield waiting
-                waiting = coming
-        except Exception:
-            if waiting is not None:  # a frame that was read before the error still counts
-                yield waiting
-            raise
-        if waiting is not None:
-            yield waiting
+        return each_started_early(frames, self.submit)
 
     def are_exchanged(self, frame: PreprocessedFrame) -> bool:
         """Whether left and right images have changed places."""

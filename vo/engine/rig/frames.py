@@ -16,7 +16,7 @@ from vo.engine.frontend.camera_alignment import half_size_pyramid
 from vo.engine.frontend.contracts import FeatureExtractor
 from vo.engine.frontend.contrast import ContrastCorrection, has_content
 from vo.engine.frontend.image_repetition import Repetition, image_change
-from vo.engine.frontend.lazy_future import LazyFuture
+from vo.engine.frontend.lazy_future import LazyFuture, each_started_early
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.rig.views import RigViews, ViewOfCamera
 
@@ -68,17 +68,7 @@ class RigPreprocessor:
 
     def ahead(self, frames: Iterable[Frame]) -> Iterator[LazyFuture[RigFrame]]:
         """All frames, each started while the one before it is tracked."""
-        waiting: LazyFuture[RigFrame] | None = None
-        try:
-            for frame in frames:
-                coming = self.submit(frame)
-                coming.start()
-                if waiting is not None:
-                    yield waiting
-                waiting = coming
-        finally:
-            if waiting is not None:
-                yield waiting
+        return each_started_early(frames, self.submit)
 
     def close(self) -> None:
         """End the threads."""
