@@ -147,7 +147,7 @@ def test_focal_length_of_an_iphone(tmp_path: Path, name: str) -> None:
 def test_positions_beside_a_video(tmp_path: Path) -> None:
     clip = video_files.write(tmp_path / "DJI_0042.mp4", "libx264")
     with pytest.raises(
-        SourceError, match=r"no positions in it \(GPMF\), or beside it.*DJI_0042\.srt"
+        SourceError, match=r"no positions in it \(GPMF, CAMM\), or beside it.*DJI_0042\.srt"
     ):
         read_positions("auto", str(clip))
     cues = "".join(

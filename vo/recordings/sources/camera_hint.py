@@ -17,6 +17,7 @@ from vo.recordings.formats.exif import (
 from vo.recordings.formats.mp4_boxes import read_mp4
 from vo.recordings.sources.gopro import open_gopro
 from vo.recordings.sources.images import ImageFile, StoredImage
+from vo.recordings.sources.motion_tracks import read_motion_track
 from vo.recordings.sources.orientation import HEADER_BYTES
 
 _DIAGONAL_35_MM = math.hypot(36.0, 24.0)
@@ -58,12 +59,19 @@ def camera_hint(path: Path, first: StoredImage, size: tuple[int, int]) -> Camera
         focal_px = diagonal / math.radians(field) if 20.0 < field < 180.0 else math.nan
         told_by = f"GoPro, {field:.0f}° between corners"
         return _checked(CameraHint(focal_px, _WIDE * focal_px, readout_s, told_by), size)
+    track = read_motion_track(path)
+    found = CameraHint() if track is None else CameraHint(readout_s=track.readout_s)
     text = read_mp4(path).texts.get("camera.focal_length.35mm_equivalent", "")
+    if track is not None and track.focal_35_mm:
+        text = f"{track.focal_35_mm:g}"
     try:
         focal_px = float(text) / _DIAGONAL_35_MM * diagonal
     except ValueError:
-        return NO_HINT
-    return _checked(CameraHint(focal_px, _VIDEO * focal_px, 0.0, f"{text} mm of 35 mm film"), size)
+        return found
+    told_by = f"{text} mm of 35 mm film"
+    return _checked(
+        found._replace(focal_px=focal_px, sigma_px=_VIDEO * focal_px, told_by=told_by), size
+    )
 
 
 def _checked(hint: CameraHint, size: tuple[int, int]) -> CameraHint:

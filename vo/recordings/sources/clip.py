@@ -20,10 +20,10 @@ from vo.recordings.sources.gopro import open_gopro
 from vo.recordings.sources.imu import FileImu, Imu, ImuSamples, imu_of
 from vo.recordings.sources.imu_table import read_imu_table
 from vo.recordings.sources.listing import Shot, read_lines, shots_from_times
+from vo.recordings.sources.motion_tracks import STANDARD_GRAVITY, read_motion_track
 from vo.recordings.sources.video_file import gather_video
 
 _log = logging.getLogger(__name__)
-_STANDARD_GRAVITY = 9.80665
 _IN_G = (0.5, 1.5)
 # Of an iPhone: x right, y up, z to the user in portrait; its camera as held in landscape.
 _CAM0_FROM_IPHONE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -36,19 +36,18 @@ def gather_clip(path: Path, calibration: Path | None, mode: Mode) -> RecordingCo
     the frames on its clock are in `CLIP_timestamps.txt` or `frame_timestamps.txt`.
     """
     contents = gather_video(path, calibration, mode)
-    gopro = open_gopro(path)
-    if gopro is not None:
-        if gopro.is_stabilised:
+    track = read_motion_track(path)
+    if track is not None:
+        if track.stabilisation:
             _log.warning(
                 "%s was stabilised in the camera (%s): each image is turned and cut in another "
                 "way, so that no lens fits and the sensor does not; record without it",
                 path,
-                gopro.text("EISA") or "EIS",
+                track.stabilisation,
             )
-        if gopro.has_imu:
-            find = _finder(f"{path} (GPMF)", gopro.imu, gopro.cam0_from_imu)
+        if track.imu is not None:
+            find = _finder(f"{path} ({track.name})", track.imu, track.cam0_from_imu)
             return replace(contents, find_imus=find)
-        return contents
     stem = path.with_suffix("")
     table = first_existing(
         [Path(f"{stem}_imu.csv"), Path(f"{stem}.imu.csv")]
@@ -151,7 +150,7 @@ def _specific_force(samples: ImuSamples) -> ImuSamples:
     mean = float(np.linalg.norm(samples.accel, axis=1).mean())
     if not _IN_G[0] < mean < _IN_G[1]:
         return samples
-    return replace(samples, accel=-_STANDARD_GRAVITY * samples.accel)
+    return replace(samples, accel=-STANDARD_GRAVITY * samples.accel)
 
 
 def _with_times(shots: Sequence[Shot], times: Path) -> list[Shot]:

@@ -17,10 +17,11 @@ from vo.recordings.formats.messages import PathMessage, PoseMessage, PositionFix
 from vo.recordings.formats.positions import PositionTable, is_nmea, read_nmea, read_position_csv
 from vo.recordings.formats.track_files import read_track
 from vo.recordings.formats.trajectory import has_stamps, read_trajectory
-from vo.recordings.sources.gopro import RAW_SUFFIX, open_gopro
+from vo.recordings.sources.gopro import RAW_SUFFIX
 from vo.recordings.sources.logs.log import Log, Topic
 from vo.recordings.sources.logs.poses import poses_on_topic
 from vo.recordings.sources.logs.stamps import message_stamps
+from vo.recordings.sources.motion_tracks import read_motion_track
 from vo.recordings.sources.oxts import read_oxts_positions
 from vo.recordings.sources.registry import (
     FORMATS,
@@ -144,16 +145,15 @@ def log_of(path: Path) -> Log | None:
 
 
 def _of_video(path: Path) -> Positions:
-    """Positions in a video of a GoPro camera, or else in a track of its name beside it."""
-    gopro = open_gopro(path)
-    table = None if gopro is None else gopro.positions()
-    if table is not None:
-        return _of_table(table, f"{path} (GPMF)")
+    """Positions in a video (GPMF of GoPro, or CAMM), or else in a track of its name beside it."""
+    found = read_motion_track(path)
+    if found is not None and found.positions is not None:
+        return _of_table(found.positions, f"{path} ({found.name})")
     beside = [path.with_suffix(suffix) for suffix in _TRACK_SUFFIXES]
     track = next((each for each in beside if each.is_file()), None)
     if track is None:
         names = ", ".join(each.name for each in beside)
-        raise SourceError(f"{path} has no positions in it (GPMF), or beside it ({names})")
+        raise SourceError(f"{path} has no positions in it (GPMF, CAMM), or beside it ({names})")
     return _from_text(track)
 
 
