@@ -79,9 +79,10 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
     ),
     "vo.runs": (
         {"inertial_checks", "interrupts", "pose_log", "progress", "scaling", "sensor_alignment"}
-        | {"focal_adjustment", "keyframe_tracking", "readout"},
+        | {"focal_adjustment", "keyframe_tracking"},
         {"run_options", "run_scale", "run_summary"},
-        {"camera_estimation", "camera_poses", "second_pass", "zoom"},
+        {"readout_estimation"},
+        {"camera_estimation", "camera_poses", "readout", "second_pass", "zoom"},
         {"pair_estimation", "run_session"},
         {"run_recording"},
         {"batch"},

@@ -260,12 +260,10 @@ class CameraConfig(Section):
     baseline_m: float | None = Field(
         None, gt=0, le=100, description="distance of both cameras of a pair without calibration"
     )
-    readout_s: float | None = Field(
+    readout_s: Annotated[float, Field(ge=0, le=0.2)] | Literal["auto"] | None = Field(
         None,
-        ge=0,
-        le=0.2,
         description="time from the first to the last row of an image in seconds, 0 for a global "
-        "shutter; null for that of the calibration (docs/calibration.md)",
+        "shutter; null for that of the calibration (docs/calibration.md); auto: by the images",
     )
 
 

@@ -113,7 +113,7 @@ def make_stages(
     optimizer_process: Popen[bytes] | None = None,
 ) -> Stages:
     """Build all stages, see `Odometry`."""
-    if config.camera.readout_s is not None:
+    if isinstance(config.camera.readout_s, float):
         rig = replace(rig, cam0=replace(rig.cam0, readout_s=config.camera.readout_s))
     rectified = rectified_rig(rig)
     if components.k1_error != 0.0:

@@ -19,7 +19,7 @@ import numpy as np
 from vo.base.config import Config
 from vo.base.errors import CalibrationError, NoCalibration
 from vo.base.records.estimated_camera import EstimatedCamera
-from vo.base.types import Camera, Estimate, Frame, Rig
+from vo.base.types import Camera, Estimate, Floats, Frame, Rig
 from vo.engine.backend.lens_adjustment import (
     FROM_A_GUESS,
     IDEAL,
@@ -36,6 +36,13 @@ from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.recordings.sources.uncalibrated import open_uncalibrated
 from vo.runs.keyframe_tracking import track_keyframes, with_more_keyframes, without_extras
+from vo.runs.readout_estimation import (
+    Readout,
+    ReadoutFit,
+    at_middle_row,
+    interval_s,
+    velocities,
+)
 from vo.runs.run_options import RunOptions
 from vo.runs.sensor_alignment import align_sensor
 
@@ -56,6 +63,7 @@ _PARTS, _SYSTEMATIC, _PER_PART = 3, 0.008, 0.6
 class _Tracked(NamedTuple):
     path: list[Estimate]  # frames with a pose
     views: KeyframeViews
+    velocity: Floats  # (K, 6) of the keyframes
 
 
 def open_estimated(
@@ -124,14 +132,26 @@ def estimate_camera(
             f"leads to a path in the first {_FIRST_FRAMES} frames (an estimate needs a camera that "
             "moves, not only turns, and texture)"
         )
-    adjusted, path = search.converged(best.lens)
+    adjusted, tracked = search.converged(best.lens)
+    readout = search.readout(adjusted.lens, tracked) if hint.readout_s == 0.0 else Readout()
+    if readout.seconds:
+        search = _Search(stream, config, options, hint._replace(readout_s=readout.seconds))
+        adjusted, tracked = search.converged(adjusted.lens)
+    path = tracked.path
     deviation = [p.lens.focal / adjusted.lens.focal - 1.0 for p in search.parts(adjusted)]
     spread = _PER_PART * float(np.sqrt(np.mean(np.square(deviation)))) if deviation else 1.0
     lens = Lens(*(round(float(value), 6) + 0.0 for value in adjusted.lens))
     sigma = lens.focal * float(np.linalg.norm([_SYSTEMATIC, spread, adjusted.relative_sigma]))
     if hint.sigma_px < sigma:  # the motion says less than the camera
         lens, sigma = told, hint.sigma_px
-    found = EstimatedCamera(lens.focal, round(sigma, 3), *lens[1:], len(path), hint.told_by)
+    found = EstimatedCamera(
+        lens.focal,
+        round(sigma, 3),
+        *lens[1:],
+        len(path),
+        hint.told_by,
+        *(round(each, 5) for each in readout),
+    )
     return search.camera(lens), found, path
 
 
@@ -185,10 +205,20 @@ class _Search:
         usable = [each for frames, each in found if frames >= _MIN_TRACKED * most]
         return min(usable, key=lambda each: each.residual_px, default=None)
 
-    def converged(self, lens: Lens) -> tuple[AdjustedLens, list[Estimate]]:
-        """The lens once it stays as it is, and the path that was tracked for it."""
+    def readout(self, lens: Lens, tracked: _Tracked) -> Readout:
+        """The time in which rows are read."""
+        columns = IDEAL if lens.k1 == 0.0 else WITH_CENTRE
+        interval = interval_s(tracked.path)
+        fit = ReadoutFit(tracked.views, tracked.velocity, interval, self._config.smoothing, columns)
+        try:
+            return fit.readout(lens)
+        except np.linalg.LinAlgError:
+            return Readout()
+
+    def converged(self, lens: Lens) -> tuple[AdjustedLens, _Tracked]:
+        """The lens once it stays as it is, and what was tracked for it."""
         adjusted: AdjustedLens | None = None
-        path: list[Estimate] = []
+        used: _Tracked | None = None
         for number in range(_PASSES):
             tracked = self._tracked(lens, _FIRST_FRAMES if number == 0 else _FRAMES)
             again = None
@@ -201,11 +231,11 @@ class _Search:
                 self._config = with_more_keyframes(self._config)
                 continue
             change = abs(again.lens.focal / lens.focal - 1.0)
-            adjusted, path, lens = again, tracked.path, again.lens
-            _log.info("over %d frames: %s", len(path), lens)
+            adjusted, used, lens = again, tracked, again.lens
+            _log.info("over %d frames: %s", len(used.path), lens)
             if number > 0 and change < _CONVERGED:
                 break
-        if adjusted is None:
+        if adjusted is None or used is None:
             raise CalibrationError(
                 "no calibration: the camera that was estimated from the first frames leads to no "
                 "path (an estimate needs a camera that moves, not only turns, and texture); give "
@@ -214,7 +244,7 @@ class _Search:
         if abs(lens.k1) < _IDEAL_K1:
             straight = lens._replace(k1=0.0, k2=0.0)
             adjusted = self._adjusted(adjusted.views, straight, IDEAL) or adjusted
-        return adjusted, path
+        return adjusted, used
 
     def parts(self, adjusted: AdjustedLens) -> Iterator[AdjustedLens]:
         """The lens by each third of the keyframes alone, or each half of few."""
@@ -246,8 +276,11 @@ class _Search:
         segments = sorted(tracked.segments, key=len, reverse=True)  # stable: the earlier of equals
         if not segments or len(segments[0]) < _MIN_KEYFRAMES:
             return None
-        views = tracked.views(segments[0][:_MAX_KEYFRAMES], np.array(self.middle))
-        return _Tracked(tracked.path, views)
+        rows = segments[0][:_MAX_KEYFRAMES]
+        views, velocity = tracked.views(rows, np.array(self.middle)), velocities(tracked.path, rows)
+        if self._hint.readout_s:
+            views = at_middle_row(views, lens, velocity, self._hint.readout_s, views.xy)
+        return _Tracked(tracked.path, views, velocity)
 
     def _frames(self, count: int) -> Iterator[Frame]:
         options = self._options

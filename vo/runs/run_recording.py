@@ -43,7 +43,7 @@ from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.inertial_checks import Unusable, why_unusable
-from vo.runs.readout import check_readout
+from vo.runs.readout import checked_readout
 from vo.runs.run_options import RunOptions
 from vo.runs.run_session import OpenedRun, RunSession
 from vo.runs.scaling.scale_sources import make_scale_sources
@@ -97,7 +97,7 @@ def run(
     _check_outputs(source, output, config, options)
     with collected_warnings(are_shown=True) as warnings:
         stream, camera = _open_or_estimate(source, config, options)
-        check_readout(stream, config)
+        config = checked_readout(stream, config, options)
         opened = _opened(source, stream, config, options)
         if config.camera.focal == "slow":
             zoomed = _followed(opened)

@@ -13,6 +13,9 @@ class EstimatedCamera(NamedTuple):
     Attributes:
         frames: those that it was estimated from.
         told_by: where the first guess is from, such as EXIF; empty for the images alone.
+        readout_s: time from the first to the last row by the images; 0 where they show none, or it
+            was known.
+        readout_sigma_s: its standard deviation.
     """
 
     focal_px: float
@@ -23,6 +26,8 @@ class EstimatedCamera(NamedTuple):
     k2: float
     frames: int
     told_by: str = ""
+    readout_s: float = 0.0
+    readout_sigma_s: float = 0.0
 
     @property
     def is_uncertain(self) -> bool:
@@ -33,6 +38,9 @@ class EstimatedCamera(NamedTuple):
     def in_words(self) -> str:
         """For people, and for comments."""
         told = f" (first guess: {self.told_by})" if self.told_by else ""
+        if self.readout_s:
+            readout_ms, sigma_ms = 1e3 * self.readout_s, 1e3 * self.readout_sigma_s
+            told += f", rows read within {readout_ms:.1f} ± {sigma_ms:.1f} ms"
         return (
             f"focal length {self.focal_px:.1f} ± {self.sigma_px:.1f} px, principal point "
             f"({self.cx:.1f}, {self.cy:.1f}), k1 {self.k1:+.4f}, k2 {self.k2:+.4f}{told}"

@@ -223,7 +223,7 @@ def _moved(at: AdjustedLens, poses: Floats, by_column: Mapping[int, float]) -> A
 def _problem(at: AdjustedLens, sigma: Floats) -> WindowProblem:
     """The observations as ideal pixels of a lens; `sigma` (N,) is that of recorded pixels."""
     lens, views = at.lens, at.views
-    xy, larger = _undistorted(views.xy, lens)
+    xy, larger = undistorted(views.xy, lens)
     return WindowProblem(
         Intrinsics(lens.focal, lens.focal, lens.cx, lens.cy),
         0.0,
@@ -239,7 +239,7 @@ def _problem(at: AdjustedLens, sigma: Floats) -> WindowProblem:
     )
 
 
-def _undistorted(xy: Floats, lens: Lens) -> tuple[Floats, Floats]:
+def undistorted(xy: Floats, lens: Lens) -> tuple[Floats, Floats]:
     """Ideal pixels (N, 2), and how much larger they are there than recorded ones, (N,)."""
     centre = np.array([lens.cx, lens.cy])
     off = (xy - centre) / lens.focal
