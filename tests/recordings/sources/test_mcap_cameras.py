@@ -26,7 +26,7 @@ from mcap.writer import Writer
 from mcap_logs import DIALECTS, write_log
 from rosbags.typesys import Stores, get_typestore
 
-from vo.base.errors import CalibrationError, NoCalibration, SourceError
+from vo.base.errors import CalibrationError, NoCalibration, NoPairCalibration, SourceError
 from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Camera
 from vo.recordings.formats.messages import (
@@ -70,6 +70,16 @@ def test_error_without_calibration_lists_the_topics(tmp_path: Path) -> None:
     layouts.write_text(tmp_path / "mine.yaml", layouts.CALIBRATION)
     rig = open_source(path, calibration=tmp_path / "mine.yaml").rig
     assert rig.cam0.fx == layouts.INTRINSICS[0]
+
+
+def test_a_pair_without_any_calibration_can_be_estimated_by_its_baseline(tmp_path: Path) -> None:
+    pair = log(tmp_path, images("/left/image", "a"), images("/right/image", "b"))
+    for mode in ("auto", "stereo"):
+        with pytest.raises(NoPairCalibration, match=r"`camera\.baseline_m=0\.12`, to estimate"):
+            open_source(pair, mode=mode)
+    assert open_uncalibrated(pair, mode="stereo").rig.is_stereo
+    with pytest.raises(NoCalibration):
+        open_source(pair, mode="mono")
 
 
 def test_one_camera_without_any_calibration_can_be_estimated(tmp_path: Path) -> None:

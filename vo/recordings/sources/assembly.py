@@ -85,6 +85,14 @@ class RecordingContents:
     further: Sequence[Sequence[Shot] | None] = ()
 
 
+def no_calibration(error: NoCalibration, is_pair: bool, mode: Mode) -> CalibrationError:
+    """The error for one camera, or for a pair, which can be estimated with another option."""
+    if not is_pair or mode == "mono":
+        return error
+    advice = "or the cameras' distance in metres, `camera.baseline_m=0.12`, to estimate them"
+    return NoPairCalibration(f"{error}; {advice}")
+
+
 def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     """Create a source, after checking that images and calibration match."""
     first = first_image(contents.left)
@@ -95,10 +103,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     try:
         calibration = contents.calibrate(size)
     except NoCalibration as error:
-        if contents.right is None or mode == "mono":
-            raise
-        advice = "or the cameras' distance in metres, `camera.baseline_m=0.12`, to estimate them"
-        raise NoPairCalibration(f"{error}; {advice}") from error
+        raise no_calibration(error, contents.right is not None, mode) from error
     size = usual_size(contents.left, size, calibration.rig.cam0)
     check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)

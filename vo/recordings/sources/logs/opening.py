@@ -19,7 +19,7 @@ from vo.recordings.formats.messages import (
     TransformsMessage,
 )
 from vo.recordings.formats.pixels import DEPTH_UNITS_PER_METRE
-from vo.recordings.sources.assembly import RecordingContents, assemble
+from vo.recordings.sources.assembly import RecordingContents, assemble, no_calibration
 from vo.recordings.sources.imu import Imu, imu_of
 from vo.recordings.sources.listing import Shot
 from vo.recordings.sources.logs.choice import ChosenTopics, choose_topics
@@ -64,7 +64,10 @@ def open_log(
     _log.info("%s: images of %s", log.path, " and ".join(t.name for t in choice.cameras))
     left = list_images(log, choice.left, opened.entries[choice.left.name], faults)
     if own is None and calibration is None:
-        own = opened.calibration_of_log(mode)
+        try:
+            own = opened.calibration_of_log(mode)
+        except NoCalibration as error:
+            raise no_calibration(error, choice.right is not None, mode) from error
     right = None
     if choice.right is not None and mode != "mono" and (own is None or own.rig.is_stereo):
         right = list_images(log, choice.right, opened.entries[choice.right.name])
@@ -118,10 +121,7 @@ class ChosenLog:
     def calibration_of_log(self, mode: Mode) -> Calibration:
         """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
         is_one = self._choice.right is None or mode == "mono"
-        try:
-            left = self._camera(self._choice.left)
-        except NoCalibration as error:  # of one camera it can be estimated
-            raise error if is_one else CalibrationError(str(error)) from error
+        left = self._camera(self._choice.left)
         if self._choice.right is None or is_one:
             return Calibration(Rig(left.camera), depth_per_metre=DEPTH_UNITS_PER_METRE)
         try:
