@@ -85,6 +85,7 @@ class RunScale:
 
             moved = move_path(store, *sensors, map_alignment.accepted_loops)
             self.findings = replace(self.findings, positions=moved.positions, wheel=moved.wheel)
+            notes += moved.notes
         if self._sources.on_globe is not None:
             from vo.runs.scaling.georeference import write_georeference
 

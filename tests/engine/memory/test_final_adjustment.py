@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from room_course import ate
 
 from vo.base.config import PatchConfig, load_config
@@ -18,6 +19,7 @@ from vo.engine.frontend.lazy_future import finished
 from vo.engine.frontend.orb import OrbExtractor
 from vo.engine.frontend.patch_alignment import PatchAligner
 from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.memory import final_adjustment
 from vo.engine.memory.rematching import PathViews, rematched, with_depths
 from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
@@ -150,6 +152,26 @@ def test_best_keeps_metre_and_vertical_of_an_inertial_sensor(
             found[rounds] = errors.rmse
     assert 0.0 < abs(shape[2] - shape[0]) < 0.1 * shape[0]
     assert in_metres[2] < 1.1 * in_metres[0]
+
+
+@pytest.mark.parametrize("has_sensor", [False, True])
+def test_where_the_last_gate_disconnects_keyframes_the_round_before_is_kept(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_sensor: bool
+) -> None:
+    """Two cameras; beside a sensor the path of both stays as it was."""
+    hall = shared_data / "rendered_hall_stereo"
+    monkeypatch.setattr(final_adjustment, "_LAST_GATE", 1e-6)
+    paths = []
+    for rounds in (0, 1, 2):
+        options = ["memory.loops=false", f"refinement.rounds={rounds}"]
+        config = load_config("best", [*options, f"inertial.enabled={has_sensor}"])
+        run(hall, tmp_path / str(rounds), config=config)
+        paths.append((tmp_path / str(rounds) / "trajectory.tum").read_bytes())
+    assert (paths[1] == paths[0]) == has_sensor
+    assert (paths[2] == paths[0]) == has_sensor
+    if not has_sensor:
+        assert paths[2] != paths[1]
+        assert ate(tmp_path / "2", hall) < 1.1 * ate(tmp_path / "0", hall)
 
 
 def test_covariances_are_those_of_the_adjusted_path() -> None:

@@ -326,6 +326,7 @@ class InertialAlignment:
         cam0 = pose @ self._imu_from_cam0
         rectified = self._trajectory.world_from_rectified(cam0)
         in_first = nodes[0].world_from_cam @ inverse(rectified[0]) @ rectified
+        self._trajectory.store.metric.fused |= {node.segment for node in nodes}
         ids = np.array([node.keyframe for node in nodes], np.int64)
         for keyframe, each in zip(ids.tolist(), in_first, strict=True):
             self._fused[keyframe] = InertialPose(solved.world, each, 1.0)

@@ -149,6 +149,8 @@ class FinalAdjustment:
             keys = [key.keyframe for key in registered.keys]
             if len(keys) < _MIN_KEYFRAMES or any(key not in stored for key in keys):
                 continue
+            if any(stored[key].keyframe.velocity is not None for key in keys):
+                continue
             adjusted = self._adjusted(registered, [stored[key] for key in keys], local_map, loops)
             if adjusted is not None:
                 self._trajectory.move_keyframes(adjusted, _SESSION)
@@ -163,31 +165,30 @@ class FinalAdjustment:
         local_map: LocalMap,
         loops: Sequence[Loop],
     ) -> RegisteredKeyframes | None:
-        """The keyframes of a world after all rounds; None where they are to stay."""
-        if any(each.keyframe.velocity is not None for each in stored):
-            return None
+        """The keyframes of a world after the last round that connects them; None without one."""
         rig, rounds = local_map.rig, self._config.refinement.rounds
         smoothing = self._config.smoothing
-        by_sensor = int(registered.world[0]) in self._trajectory.store.metric.worlds_by_sensor
+        by_sensor = int(registered.world[0]) in self._trajectory.store.metric.worlds_with_sensor
+        connected: PathViews | None = None
         has_lens_error = rig.k1_error != 0.0 and not rig.is_metric
         inside = loops_inside(registered, loops)
         motions = measured_motions(inside, registered.scale)
         pairs = [self._pairs.get(each.keyframe.id) for each in stored]
         measured = views = _views(registered, stored)
-        has_right = any(pair is not None for pair in pairs)
-        takes_depths = has_right and bool(np.isfinite(measured.disparity).any())
+        takes_depths = any(pairs) and bool(np.isfinite(measured.disparity).any())
         for number in range(rounds + 1):
             if number < rounds:
                 views = rematched(views, measured, rig, self._patches)
                 if number > 0 and takes_depths:
                     views = with_depths(views, pairs, rig, self._stereo)
             if not _is_connected(views, _MIN_SHARED_BY_SENSOR if by_sensor else _MIN_SHARED):
-                return None
+                break
             found = adjust_path(self._weighted(views, rig), motions, smoothing, _MIN_DECREASE)
             if found is None:
                 return None
             change = np.linalg.norm((found.world_from_cam - views.world_from_cam)[:, :3, 3], axis=1)
             views = replace(views, world_from_cam=found.world_from_cam, points=found.points)
+            connected = views
             _log.info(
                 "whole path, adjustment %d of %d: %d observations, moved by %.2g (largest %.2g)",
                 *(number + 1, rounds + 1, len(views.point)),
@@ -203,7 +204,9 @@ class FinalAdjustment:
                 off, _ = residuals(self._problem(views, rig), views.world_from_cam, views.points)
                 gate = _GATE if number < rounds - 1 else _LAST_GATE
                 views = views.select(np.flatnonzero(off < gate))
-        found = AdjustedPath(views.world_from_cam, views.points)
+        if connected is None or (by_sensor and connected is not views):
+            return None
+        views, found = connected, AdjustedPath(connected.world_from_cam, connected.points)
         covariance = path_covariance(self._weighted(views, rig), found, motions, smoothing)
         if rig.is_metric:
             adjusted = replace(registered, world_from_cam=views.world_from_cam)
@@ -213,9 +216,8 @@ class FinalAdjustment:
         kept = with_scale_kept(registered, start, found, np.concatenate(depth), inside)
         if kept is None or covariance is None:
             return kept
-        if by_sensor:
-            return _as_whole_where(kept, registered)  # and errors of metre and vertical stay
-        return replace(kept, covariance=covariance)
+        kept = replace(kept, covariance=covariance)
+        return _as_whole_where(kept, registered) if by_sensor else kept
 
     def _weighted(self, views: PathViews, rig: RectifiedRig) -> WindowProblem:
         return with_measured_noise(self._problem(views, rig))
@@ -256,8 +258,9 @@ def _as_whole_where(
     u, _, vt = np.linalg.svd(np.einsum("kij,klj->il", old[:, :3, :3], poses[:, :3, :3]))
     unit, turn = float(np.exp(np.log(before.scale / adjusted.scale).mean())), u @ vt
     moved = Similarity(unit, turn, old[0, :3, 3] - unit * turn @ poses[0, :3, 3])
-    scale = adjusted.scale * unit
-    return replace(adjusted, world_from_cam=moved.transform_poses(poses), scale=scale)
+    poses, scale = moved.transform_poses(poses), adjusted.scale * unit
+    # Errors of metre and vertical stay.
+    return replace(adjusted, world_from_cam=poses, scale=scale, covariance=before.covariance)
 
 
 def _is_small(bias: Floats, rig: RectifiedRig) -> bool:

@@ -18,6 +18,7 @@ from vo.runs.scaling.path_factors import Fixes, Given, LoopFactors
 from vo.runs.scaling.path_fusion import FusedPath, fuse_path
 from vo.runs.scaling.position_source import PathAlignment, PositionSource
 from vo.runs.scaling.timed_fit import associate
+from vo.runs.scaling.wheel_joins import Join, join_pieces
 from vo.runs.scaling.wheel_source import WheelSource
 
 _MAX_LOOPS = 16
@@ -28,10 +29,11 @@ _USUAL_RATIO = (0.2, 5.0)  # of the uncertainties that a receiver states
 
 
 class MovedPath(NamedTuple):
-    """What became of positions and of wheel odometry, by world."""
+    """What became of positions and of wheel odometry, by world, and notes for the user."""
 
     positions: tuple[PositionUse, ...]
     wheel: tuple[WheelUse, ...]
+    notes: tuple[str, ...]
 
 
 def move_path(
@@ -42,7 +44,8 @@ def move_path(
 ) -> MovedPath:
     """Move each world that was aligned with positions or wheels; its first keyframe stays.
 
-    The alignments of the positions become those of the moved path.
+    Worlds that the wheels join become one before. The alignments of the positions become those of
+    the moved path.
 
     Args:
         store: the path, in metres.
@@ -53,12 +56,14 @@ def move_path(
     aligned = {} if source is None else {each.segment: each for each in source.alignments}
     positions: list[PositionUse] = []
     moved_m: dict[int, float] = {}
+    joins = [] if wheel is None else join_pieces(store, wheel, aligned)
     for world in sorted({*aligned, *({} if wheel is None else wheel.fits)}):
-        if not store.metric.is_metric(world):
+        if not store.metric.is_metric(world) or store.world(world) != world:
             continue
         alignment = aligned.get(world)
         keyframes = _Keyframes.of(store, world)
         given = keyframes.given(store, wheel, loops, alignment)
+        given = given._replace(joined=keyframes.across(joins))
         if alignment is not None and source is not None:
             use, aligned[world] = _move_in_frame(store, source, alignment, keyframes, given)
             positions += [] if use is None else [use]
@@ -67,7 +72,8 @@ def move_path(
             moved_m[world] = _move_by_wheel(store, keyframes, given)
     if source is not None:
         source.alignments = tuple(aligned[number] for number in sorted(aligned))
-    return MovedPath(tuple(positions), () if wheel is None else wheel.uses(store.metric, moved_m))
+    uses = () if wheel is None else wheel.uses(store.metric, moved_m)
+    return MovedPath(tuple(positions), uses, tuple(join.note for join in joins))
 
 
 class _Keyframes(NamedTuple):
@@ -104,6 +110,17 @@ class _Keyframes(NamedTuple):
         return given._replace(
             ways=ways, scale_sigma=None if is_free or scale is None else scale.relative_sigma
         )
+
+    def across(self, joins: Sequence[Join]) -> Floats | None:
+        """(n, 7) standard deviations of steps that wheels alone have measured, 0 of others."""
+        inside = [join for join in joins if join.keyframe in self.ids]
+        if not inside:
+            return None
+        sigma = np.zeros((len(self.ids), 7))
+        sigma[np.searchsorted(self.ids, [join.keyframe for join in inside])] = [
+            join.sigma for join in inside
+        ]
+        return sigma
 
 
 def _move_in_frame(
