@@ -10,6 +10,7 @@ from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse, se3_exp, se3_log, transform_points
 from vo.base.types import Floats
 from vo.engine.rig.pose_fit import RigObservations, RigTies, fit_rig
+from vo.engine.rig.velocity import VelocityPrior
 
 INTRINSICS = Intrinsics(160.0, 160.0, 159.5, 119.5)
 VIEWS = np.stack([at(0), at(90, 0.15, -0.15), at(180, 0.0, -0.3)])
@@ -44,7 +45,9 @@ def test_finds_the_pose_and_the_outliers(outliers: int) -> None:
 
 def test_finds_the_velocity_of_views_with_different_times() -> None:
     delay_s = np.array([0.0, 0.02, 0.04])
-    ties = RigTies(VIEWS, delay_s, 0.8 * TWIST)
+    before = POSE @ se3_exp(-0.1 * TWIST)
+    prior = VelocityPrior(before, 0.1, -0.2 * TWIST, np.full(6, 0.5))
+    ties = RigTies(VIEWS, delay_s, 0.8 * TWIST, prior)
     fit = fit_rig(inverse(POSE), observed(delay_s), ties, INTRINSICS, 3.5)
     # The velocity stays near that given, which pulls the pose a little.
     assert np.abs(se3_log(fit.body_from_world @ POSE)).max() < 0.002

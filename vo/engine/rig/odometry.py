@@ -235,7 +235,7 @@ class RigOdometry:
             self._state, self._lost = State.LOST, self._lost + 1
             return
         self._state, self._lost = State.TRACKING, 0
-        self._tracker.update(frame, tracked)
+        self._window.retie(self._tracker.update(frame, tracked))
         if self._unsettled > 0 and self.metre.is_known:
             self._settle(frame, tracked)
             return

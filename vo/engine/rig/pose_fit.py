@@ -13,10 +13,10 @@ import numpy as np
 from vo.base.geometry.projection import MIN_DEPTH, Intrinsics
 from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp
 from vo.base.types import Bools, Floats, Ints
+from vo.engine.rig.velocity import VelocityPrior
 
 _HUBER = 2.0  # residual, in standard deviations, from which a match is weighted down
 _ITERATIONS, _CONVERGED = 12, 1e-6  # the latter a squared Mahalanobis length
-_TWIST_SIGMA = 0.5  # of a velocity from that between the frames before, rad/s and m/s
 
 
 class RigObservations(NamedTuple):
@@ -42,11 +42,13 @@ class RigTies(NamedTuple):
         body_from_views: (V, 4, 4).
         delay_s: (V,) time of each view after that of the body's pose.
         twist: (6,) velocity of the body, in its own frame, per second.
+        prior: on it; None where the body rests.
     """
 
     body_from_views: Floats
     delay_s: Floats
     twist: Floats
+    prior: VelocityPrior | None = None
 
     @property
     def at_their_times(self) -> Floats:
@@ -74,12 +76,11 @@ def fit_rig(
 ) -> RigFit:
     """Minimise Huber-weighted reprojection errors over the pose of the body.
 
-    Where the views have different times, over its velocity too, near that of `ties`. First with
+    Where the ties have a prior on its velocity, over that too. First with
     all observations, then, after convergence or half of the iterations, without outliers: those
     with residuals above `gate` standard deviations.
     """
-    moves = bool(ties.delay_s.any())
-    start = ties.twist
+    moves = ties.prior is not None
     focal, centre = np.array(intrinsics[:2]), np.array(intrinsics[2:])
     limit, pose = np.inf, body_from_world
     for step in range(_ITERATIONS + 1):
@@ -104,9 +105,8 @@ def fit_rig(
         normal = jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += 1e-9 + 1e-9 * np.diag(normal)
         gradient = jacobian.T @ weighted
-        if moves:
-            normal[range(6, 12), range(6, 12)] += _TWIST_SIGMA**-2.0
-            gradient[6:] += (ties.twist - start) * _TWIST_SIGMA**-2.0
+        if ties.prior is not None:
+            ties.prior.add_to(normal, gradient, inverse(pose), ties.twist)
         try:
             change = -np.linalg.solve(normal, gradient)
         except np.linalg.LinAlgError:

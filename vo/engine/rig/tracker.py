@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from vo.base.config import TrackingConfig
-from vo.base.geometry.transforms import inverse, se3_log
+from vo.base.geometry.transforms import inverse
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats
 from vo.engine.frontend.contracts import FeatureSet, feature_set
@@ -18,6 +18,7 @@ from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
 from vo.engine.rig.frames import RigFrame
 from vo.engine.rig.pose_fit import RigObservations, RigTies, fit_rig
 from vo.engine.rig.tracked import LastRigFrame, RigTracked, landmarks_per_view, unobserved
+from vo.engine.rig.velocity import BodyVelocity
 from vo.engine.tracking.landmark_alignment import LandmarkAligner
 from vo.engine.tracking.motion_model import ConstantVelocity
 from vo.engine.tracking.pose_estimation import PoseEstimator
@@ -48,6 +49,7 @@ class RigTracker:
         self.last: LastRigFrame | None = None
         self.motion = ConstantVelocity()
         self.stopwatch = stopwatch
+        self._velocity = BodyVelocity()
         self._map = local_map
         self._config = config
         self._matcher = frontend.matcher
@@ -59,12 +61,27 @@ class RigTracker:
     def restart(self, frame: RigFrame, tracked: RigTracked) -> None:
         """Begin at a frame that a new map was made of, with unknown velocity."""
         self.motion.restart(frame.stamp_ns, tracked.world_from_body)
+        self._velocity.restart()
         self.last = LastRigFrame(frame, tracked)
 
-    def update(self, frame: RigFrame, tracked: RigTracked) -> None:
-        """Continue from a tracked frame."""
+    def update(self, frame: RigFrame, tracked: RigTracked) -> LastRigFrame | None:
+        """Continue from a tracked frame.
+
+        Returns:
+            The frame before with its views where this one shows that they are, if they have
+            different times.
+        """
+        before, moved = self.last, None
+        if any(frame.delay_s) and before is not None:
+            elapsed_s = 1e-9 * (frame.stamp_ns - before.frame.stamp_ns)
+            poses = self.motion.last, tracked.world_from_body
+            moved = self._velocity.update(*poses, elapsed_s, before.frame.delay_s)
         self.motion.update(frame.stamp_ns, tracked.world_from_body)
         self.last = LastRigFrame(frame, tracked)
+        if before is None or moved is None:
+            return None
+        tied = moved @ self.body_from_views
+        return replace(before, tracked=replace(before.tracked, body_from_views=tied))
 
     def move_views(self, by: Floats) -> None:
         """Fix the views (V, 4, 4) elsewhere on the body."""
@@ -82,8 +99,8 @@ class RigTracker:
         elapsed_s = 1e-9 * (frame.stamp_ns - self.last.frame.stamp_ns)
         if elapsed_s <= 0.0:
             return ties
-        motion = inverse(self.motion.last) @ world_from_body
-        return ties._replace(twist=se3_log(motion) / elapsed_s)
+        prior = self._velocity.prior(self.motion.last, elapsed_s)
+        return ties._replace(twist=prior.velocity(world_from_body), prior=prior)
 
     @timed("match")
     def track(self, frame: RigFrame, *, is_lost: bool) -> RigTracked | None:

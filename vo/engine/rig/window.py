@@ -19,6 +19,7 @@ from vo.engine.backend.solution import WindowSolution
 from vo.engine.backend.window_problem import Ties
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
+from vo.engine.rig.tracked import LastRigFrame
 
 _FREE, _FIXED = 6, 6  # instants
 _LANDMARKS = 400  # for each view
@@ -56,10 +57,26 @@ class RigWindow(SlidingWindow):
         self._lever = lever
         self.metre = 0.0, 0.0
         self.extrinsics: ExtrinsicEvidence | None = None
+        self._retied: tuple[Keyframe, Floats] | None = None  # until the next result
+
+    def retie(self, before: LastRigFrame | None) -> None:
+        """Place the views of the newest instant, if it is this frame, on its body anew."""
+        first = self._map.keyframes[-self._views]
+        if before is not None and first.frame.index == before.frame.index:
+            self._retied = first, before.tracked.body_from_views
+            self._place(*self._retied)
+
+    def _place(self, first: Keyframe, tied: Floats) -> None:
+        """Place the views (V, 4, 4) of the instant that begins with a keyframe."""
+        body = first.world_from_cam
+        for keyframe in self._map.keyframes:
+            view = keyframe.id - first.id
+            if 0 <= view < self._views:
+                keyframe.world_from_cam = orthonormalised(body @ tied[view])
 
     def move_views(self, by: Floats, *, calibration_weight: int) -> WindowUpdate | None:
         """Fix the views (V, 4, 4) elsewhere on the body, and optimise the map; none is pending."""
-        local_map, before = self._map, self._map.poses
+        local_map, before, self._retied = self._map, self._map.poses, None
         for number, keyframe in enumerate(local_map.keyframes):
             moved = keyframe.world_from_cam @ by[number % self._views]
             keyframe.world_from_cam = orthonormalised(moved)
@@ -110,6 +127,13 @@ class RigWindow(SlidingWindow):
                 if lever is not None:
                     tied[:3, 3] += solution.metre[0] * lever[view]
                 keyframe.world_from_cam = orthonormalised(motion @ body @ tied)
+        if self._retied is not None:
+            retied, tied = self._retied
+            if lever is not None:
+                tied = tied.copy()
+                tied[:, :3, 3] += solution.metre[0] * lever[:views]
+            self._place(retied, tied)
+            self._retied = None
         update_covariances(window.keyframes[::views], solution)
         self.metre, self.extrinsics = solution.metre, solution.extrinsics
         free = [
