@@ -134,6 +134,22 @@ def test_warmup_compiles_what_recordings_with_loops_need(
         assert f"vo.engine.{name}" in compiled
 
 
+def test_first_run_compiles_only_what_its_cameras_and_sensors_need(
+    first_warmup: tuple[Path, str, str], synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    cache = tmp_path / "cache"
+    shutil.copytree(first_warmup[0], cache)
+    for part in ("vo.engine.inertial.", "vo.engine.geometry.triangulation.", "warm-"):
+        for path in (cache / "vo").glob(f"{part}*"):
+            path.unlink()
+    before = files_in(cache)
+
+    done = run(cache, VO, "run", synthetic_stereo, "-o", tmp_path / "out", "--mode", "stereo")
+
+    assert NOTICE not in done.stderr
+    assert [name[:12] for name in files_in(cache) - before] == ["warm-stereo-"]
+
+
 @pytest.mark.parametrize("quiet", [False, True])
 def test_run_compiles_what_is_missing(
     outdated: tuple[Path, Path], synthetic_stereo: Path, tmp_path: Path, quiet: bool

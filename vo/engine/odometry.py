@@ -29,7 +29,7 @@ from vo.engine.snapshot import FrameResult, make_estimate, make_snapshot
 from vo.engine.stages import BUILT_IN, Components, make_stages
 from vo.engine.trajectory.map_frame import Anchor
 from vo.engine.trajectory.store import TrajectoryStore
-from vo.engine.warmup import warm_up
+from vo.engine.warmup import parts_of, warm_up
 
 
 class Odometry:
@@ -58,7 +58,7 @@ class Odometry:
         components: Components = BUILT_IN,
         optimizer_process: Popen[bytes] | None = None,
     ) -> None:
-        warm_up(Odometry)
+        warm_up(Odometry, parts_of(rig, inertial=components.inertial_sensor is not None))
         cv2.setRNGSeed(config.seed)
         self.stopwatch = Stopwatch()
         with networks_used(config.features.device) as self.networks:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -45,16 +46,24 @@ _BASELINE_M = 0.1
 _DISPARITIES_PX = (8, 4)
 _FRAMES = 12
 
+# What is compiled apart: no recording needs all of it.
+_PARTS = ("stereo", "mono", "inertial")
+
 _is_running = False
 
 
-def is_warm() -> bool:
+def parts_of(rig: Rig, *, inertial: bool) -> list[str]:
+    """The parts that recordings by such cameras need."""
+    return ["stereo" if rig.is_stereo else "mono", *["inertial"] * inertial]
+
+
+def is_warm(parts: Iterable[str] = _PARTS) -> bool:
     """Whether `warm_up` has been completed for this version of the code and this processor."""
-    return _stamp().exists()
+    return all(_stamp(part).exists() for part in parts)
 
 
-def warm_up(make_odometry: Callable[[Rig, Config], Any]) -> bool:
-    """Compile all functions of the odometry, unless that was done before.
+def warm_up(make_odometry: Callable[[Rig, Config], Any], parts: Iterable[str] = _PARTS) -> bool:
+    """Compile the functions of the odometry, unless that was done before.
 
     Runs the odometry on generated images, so that exactly the functions and signatures that it
     uses are compiled. The machine code is cached on disk; whether, when or where this function is
@@ -64,24 +73,25 @@ def warm_up(make_odometry: Callable[[Rig, Config], Any]) -> bool:
     anything had to be compiled.
     """
     global _is_running
-    if _is_running or is_warm():
+    if _is_running or is_warm(parts):
         return False
     compiled_before = compiled_here()
     _is_running = True
     try:
-        _run_all(make_odometry)
+        if not machine_code.is_supported():  # numba's own cache does not report compilations
+            announce_compilation()
+        for part in parts:
+            _use(part, make_odometry)
+            _save_stamp(part)
     finally:
         _is_running = False
-    _save_stamp()
     return compiled_here() != compiled_before
 
 
-def _run_all(make_odometry: Callable[[Rig, Config], Any]) -> None:
-    if not machine_code.is_supported():  # numba's own cache does not report compilations
-        announce_compilation()
-    for rig in _rigs():
-        _run(make_odometry, rig)
-    _use_inertial_samples()
+def _use(part: str, make_odometry: Callable[[Rig, Config], Any]) -> None:
+    if part == "inertial":
+        return _use_inertial_samples()
+    _run(make_odometry, next(rig for rig in _rigs() if rig.is_stereo == (part == "stereo")))
     _use_rolling_shutter()
     _use_screening()
     _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
@@ -187,23 +197,25 @@ def _image(texture: Bytes, baselines: float) -> Bytes:
     return image
 
 
-def _stamp() -> Path:
-    """File that exists once everything was compiled.
-
-    Its name is a hash of the version, the rooms with compiled functions, the compiler and the
-    processor.
-    """
+@lru_cache
+def _digest() -> str:
+    """Hash of the version, the rooms with compiled functions, the compiler and the processor."""
     digest = hashlib.sha256(f"{__version__} {machine_code.toolchain()}".encode())
     for room in _ROOMS_WITH_KERNELS:
         for path in sorted((_PACKAGE / room).glob("*.py")):
             digest.update(path.read_bytes())
-    return store.folder() / f"warm-{digest.hexdigest()[:16]}"
+    return digest.hexdigest()[:16]
 
 
-def _save_stamp() -> None:
+def _stamp(part: str) -> Path:
+    """File that exists once a part was compiled."""
+    return store.folder() / f"warm-{part}-{_digest()}"
+
+
+def _save_stamp(part: str) -> None:
     """Keep the stamp beside those of other versions; nothing if the folder cannot be written to."""
-    stamp = _stamp()
+    stamp = _stamp(part)
     with suppress(OSError):
         store.create_folder()
         stamp.touch()
-        store.remove_oldest("warm-*")
+        store.remove_oldest(f"warm-{part}-*")

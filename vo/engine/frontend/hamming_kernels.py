@@ -190,7 +190,8 @@ def best_in_groups(  # type: ignore[no-untyped-def]
     order, words, filled = np.empty(m, dtype=np.int64), np.empty_like(train_words), start.copy()
     for j in range(m):  # sorted by group
         order[filled[train_group[j]]] = j
-        words[filled[train_group[j]]] = train_words[j]
+        for c in range(train_words.shape[1]):  # a row at once takes 1 s more to compile
+            words[filled[train_group[j]], c] = train_words[j, c]
         filled[train_group[j]] += 1
     matched = np.full(n, -1, dtype=np.int64)
     distance = np.full(n, 512, dtype=np.int64)
