@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vo.base.geometry.transforms import make_transform, rotation_angle, so3_exp
+from vo.base.geometry.transforms import make_transform, rotation_angle, so3_exp, so3_log
 from vo.base.types import Estimate, Floats, State
 from vo.recordings.sources.imu import FileImu, make_samples
 from vo.runs.sensor_alignment import align_sensor
@@ -44,7 +44,44 @@ def test_a_sensor_is_turned_as_the_path_turns() -> None:
     assert found is not None and found.cam0_from_imu is not None
     assert np.degrees(rotation_angle(found.cam0_from_imu[:3, :3] @ CAM_FROM_IMU.T)) < 0.3
     assert found.time_offset_s == pytest.approx(OFFSET_S, abs=0.001)
-    assert found.cam0_from_imu[:3, 3].tolist() == [0.0, 0.0, 0.0]
+    assert found.cam0_from_imu[:3, 3] == pytest.approx([0.0, 0.0, 0.0], abs=0.002)
+
+
+def moving(seconds: float) -> Floats:
+    """Pose of a camera that is shaken while it is carried in circles, in units of half a metre."""
+    turn = np.array([0.4 * np.sin(2.5 * seconds), 0.5 * np.cos(2.1 * seconds), 0.3 * seconds])
+    place = 2.0 * np.array(
+        [np.sin(seconds), 0.5 * np.cos(1.3 * seconds), 0.2 * np.sin(3 * seconds)]
+    )
+    return make_transform(so3_exp(turn), place)
+
+
+def test_the_lever_arm_is_found_where_the_camera_moves() -> None:
+    arm = np.array([0.05, -0.08, 0.03])  # of the sensor, in the frame of the camera
+    up = np.array([0.0, 0.0, 9.81])
+
+    def centre(seconds: float) -> Floats:
+        pose = moving(seconds)
+        return np.asarray(0.5 * pose[:3, 3] + pose[:3, :3] @ arm)
+
+    rows, step = [], 1e-3
+    times = np.arange(-0.5, 12.5, 0.005)
+    for seconds in times:
+        before, now, after = (centre(seconds + n * step) for n in (-1, 0, 1))
+        rotation = moving(seconds)[:3, :3]
+        force = rotation.T @ ((before - 2.0 * now + after) / step**2 + up)
+        between = moving(seconds - step)[:3, :3].T @ moving(seconds + step)[:3, :3]
+        rate = so3_log(between) / (2.0 * step)
+        rows.append(np.concatenate([CAM_FROM_IMU.T @ rate, CAM_FROM_IMU.T @ force]))
+    stamps = np.rint(1e9 * (times + OFFSET_S)).astype(np.int64)
+    read = make_samples(stamps.tolist(), np.array(rows), 0)
+    path = [
+        Estimate(n, 50_000_000 * n, State.TRACKING, None, 0, moving(0.05 * n), False, 9, 9, 9, ())
+        for n in range(240)
+    ]
+    found = align_sensor(FileImu("imu.csv", lambda: read, lambda: None), path)
+    assert found is not None and found.cam0_from_imu is not None
+    assert found.cam0_from_imu[:3, 3] == pytest.approx(arm, abs=0.003)
 
 
 def test_a_camera_that_hardly_turns_shows_nothing() -> None:
