@@ -37,6 +37,7 @@ NEIGHBOURS = 2  # keyframes before and after each that are compared with it
 WORKERS = 2  # threads
 _EDGE_SHARE = 0.01  # of the median depth, the edge of a cube of the cloud
 _METRES, _CELL_M, _BAND_M = "m", 0.05, (0.15, 1.8)
+_TYPICAL_STEP = 4  # pixels between those whose medians are taken
 _GRID_STEP = 2  # pixels between those that a grid is made of
 
 
@@ -149,11 +150,11 @@ class Fusion:
         """Medians over keyframes of the depths, and of the errors of the farthest inverse ones."""
         depths, sigmas = [], []
         for row in self._rows:
-            depth = self._store.load(row)
-            known = depth.inverse[depth.inverse > 0]
+            some = [each[::_TYPICAL_STEP, ::_TYPICAL_STEP] for each in self._store.load(row)]
+            known = some[0][some[0] > 0]
             if len(known):
                 depths.append(1.0 / float(np.median(known)))
-                sigmas.append(float(np.percentile(depth.sigma, 25)))
+                sigmas.append(float(np.percentile(some[1], 25)))
         if not depths:
             raise SourceError(
                 f"{self._record.path}: no keyframe shows depth; the camera has to move past "

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -16,6 +18,7 @@ from vo.tools.dense.depth import DepthMap
 _STEPS_PER_SIGMA = 8  # of inverse depths as they are stored
 _STEPS_PER_DOUBLING = 16  # of standard deviations
 _MAX = 65535
+_HELD = 12  # depths in memory: those that are compared at a time
 
 
 class DepthStore:
@@ -26,6 +29,7 @@ class DepthStore:
 
     def __init__(self, folder: Path, fingerprint: str) -> None:
         self._folder = folder
+        self.load = lru_cache(_HELD)(self._load)
         stamp = folder / "of"
         with writing(folder):
             if folder.is_dir() and not (stamp.is_file() and stamp.read_text() == fingerprint):
@@ -49,8 +53,8 @@ class DepthStore:
         with writing(path), complete_file(path) as file:
             np.savez(file, *pictures, step=step, least=least)
 
-    def load(self, row: int) -> DepthMap:
-        """The depth of a keyframe.
+    def _load(self, row: int) -> DepthMap:
+        """The depth of a keyframe, not to be changed.
 
         Raises:
             SourceError: the file is damaged.
@@ -60,18 +64,21 @@ class DepthStore:
             with np.load(path) as data:
                 step, least = np.float32(data["step"]), np.float32(data["least"])
                 whole, errors = (
-                    np.asarray(cv2.imdecode(data[name], cv2.IMREAD_UNCHANGED), np.float32)
+                    np.asarray(cv2.imdecode(data[name], cv2.IMREAD_UNCHANGED))
                     for name in ("arr_0", "arr_1")
                 )
+                sigmas = least * np.exp2(np.arange(256, dtype=np.float32) / _STEPS_PER_DOUBLING)
+                return DepthMap(whole * step, sigmas[errors])
         except (OSError, ValueError, KeyError, EOFError, TypeError, cv2.error) as error:
             raise SourceError(f"{path} is damaged; remove {self._folder} and run again") from error
-        return DepthMap(whole * step, least * np.exp2(errors / np.float32(_STEPS_PER_DOUBLING)))
 
     def save_confirmed(self, row: int, inverse: Floats32) -> None:
         """Keep inverse depths (H, W) of a keyframe that others confirm, for this call only."""
         path = self._path(row).with_suffix(".npy")
+        data = BytesIO()  # NumPy does not say why it cannot write to a file
+        np.save(data, inverse)
         with writing(path):
-            np.save(path, inverse)
+            path.write_bytes(data.getvalue())
 
     def load_confirmed(self, row: int) -> Floats32:
         """What was kept of a keyframe."""

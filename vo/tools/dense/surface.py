@@ -19,8 +19,8 @@ from vo.recordings.formats.mesh import Mesh
 
 Ints16 = NDArray[np.int16]
 
-_SIDE = 8  # voxels of a block, along each axis
 _REACH = 4  # voxels to both sides of a surface within which distances are kept
+_SIDE = 2 * _REACH  # voxels of a block, along each axis
 _STEPS = 8191.0 / _REACH  # of a distance of one voxel, as it is stored
 _MAX_CHANGE = 4.0  # of the distance within a cell; more is the edge between two surfaces
 _FIRST_BLOCKS = 1024
@@ -74,12 +74,17 @@ def _near(cubes: Ints) -> Ints:
     """Blocks (B, 3) within reach of voxels (N, 3)."""
     if not len(cubes):
         return np.empty((0, 3), np.int64)
-    low, high = (cubes - _REACH) // _SIDE, (cubes + _REACH) // _SIDE
-    first = low.min(axis=0)
-    shape = tuple((high.max(axis=0) - first + 1).tolist())
-    ends = [np.where(corner, high, low) - first for corner in _CORNERS]
-    near = np.concatenate([np.ravel_multi_index(tuple(end.T), shape) for end in ends])
-    return np.asarray(np.stack(np.unravel_index(np.unique(near), shape), axis=1) + first)
+    halves = _distinct(cubes // _REACH)
+    low, high = (halves - 1) // 2, (halves + 1) // 2
+    return _distinct(np.concatenate([np.where(corner, high, low) for corner in _CORNERS]))
+
+
+def _distinct(rows: Ints) -> Ints:
+    """Each of rows (N, 3) once, in increasing order."""
+    first = rows.min(axis=0)
+    shape = tuple((rows.max(axis=0) - first + 1).tolist())
+    keys = np.unique(np.ravel_multi_index(tuple((rows - first).T), shape))
+    return np.asarray(np.stack(np.unravel_index(keys, shape), axis=1) + first)
 
 
 @compiled
