@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from vo.base.geometry.transforms import make_transform, so3_exp
 from vo.base.types import Floats, Floats32
 from vo.tools.dense.agreement import confirmed
 from vo.tools.dense.cloud import Cloud, CubeCloud
-from vo.tools.dense.depth import even_depth
+from vo.tools.dense.depth import _beside_holes, even_depth
+from vo.tools.dense.files import write_cloud
 from vo.tools.dense.ground import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, find_ground
 from vo.tools.dense.posed_images import moving_mask, sharp, sharpness_of
 from vo.tools.dense.surface import DistanceField
@@ -72,6 +75,29 @@ def test_points_and_normals_of_a_plane_are_exact() -> None:
     assert (cloud.rgb == 100).all() and cloud.views.max() == 5
     cubes_seen = np.unique(np.floor(cloud.xyz / 0.05).astype(int), axis=0)
     assert len(cubes_seen) > 0.97 * len(cloud.xyz)  # one point for each cube
+
+
+def test_no_depth_beside_a_wide_hole() -> None:
+    known = np.ones((60, 80), bool)
+    known[20:40, 30:50], known[5:9, 5:9] = (
+        False,
+        False,
+    )  # one wider than a block and one that is not
+    beside = _beside_holes(known)
+    assert beside[18:42, 28:52].all() and beside.sum() == 24 * 24
+
+
+def test_an_e57_file_has_the_bytes_of_its_points(tmp_path: Path) -> None:
+    pye57 = pytest.importorskip("pye57")
+    xyz = np.random.default_rng(3).normal(size=(1000, 3))
+    rgb, views = np.full((1000, 3), 80, np.uint8), np.ones(1000, np.int64)
+    for name, shift in (("a", 0.0), ("b", 0.0), ("c", 1e-3)):
+        write_cloud(tmp_path / f"{name}.e57", Cloud(xyz + shift, xyz, rgb, views), "in m")
+    a, b, c = ((tmp_path / f"{name}.e57").read_bytes() for name in "abc")
+    assert a == b and str(Path(pye57.__file__).parent).encode() not in a
+    opened = [pye57.E57(str(tmp_path / f"{name}.e57")) for name in "abc"]
+    assert len({str(each.root["guid"].value()) for each in opened}) == 2
+    assert pye57.e57.uuid.uuid4() != pye57.e57.uuid.uuid4()  # as it was
 
 
 def test_the_mesh_of_a_sphere_is_round_and_faces_the_cameras() -> None:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.types import Bytes, Floats32
+from vo.base.types import Bools, Bytes, Floats32
 from vo.tools.dense.keyframes import KeyframeImages
 
 MAX_ERROR = 0.022  # relative standard deviation of the farthest depth of a single keyframe
@@ -22,7 +22,8 @@ _SIXTEENTHS = 16  # of a pixel, the unit of OpenCV's disparities
 _RANGE = 0.2  # of the image's width, the largest disparity
 _SPECKLE_PX, _SPECKLE_STEP_PX = 100, 2  # smaller regions of one depth are left out
 _UNIQUENESS_PERCENT = 10
-_SENSOR_SIGMA_PX = 0.4  # of a depth camera, at the baseline that stands for it
+_HOLE_PX = 7  # least width of a hole beside which blocks are not trusted
+_SENSOR_SIGMA = 0.0025  # of the inverse depth of a depth camera, 1/m; of a Kinect it is 0.0014
 
 
 class DepthMap(NamedTuple):
@@ -75,7 +76,8 @@ class StereoDepth:
         if rig.disparity_offset_px or rig.disparity_curve_px:
             u = np.arange(rig.width, dtype=np.float64)[None] - disparity
             disparity = (disparity - rig.disparity_error(u)).astype(np.float32)
-        inverse = np.where(known & (disparity > 0), disparity * scale, np.float32(0))
+        known &= (disparity > 0) & ~_beside_holes(known)
+        inverse = np.where(known, disparity * scale, np.float32(0))
         return even_depth(inverse.astype(np.float32), SIGMA_PX * float(scale))
 
     def _padded(self, image: Bytes) -> Bytes:
@@ -83,13 +85,23 @@ class StereoDepth:
         return np.asarray(cv2.copyMakeBorder(image, 0, 0, self._reach, 0, cv2.BORDER_REPLICATE))
 
 
-def measured_depth(images: KeyframeImages, rig: RectifiedRig) -> DepthMap:
-    """What a depth camera has measured."""
+def _beside_holes(known: Bools) -> Bools:
+    """Where a block reaches into a hole (H, W): its depth is often that of what is in front."""
+    square = np.ones((_HOLE_PX, _HOLE_PX), np.uint8)
+    hole = cv2.morphologyEx((~known).astype(np.uint8), cv2.MORPH_OPEN, square)
+    return np.asarray(cv2.dilate(hole, np.ones((_BLOCK_PX, _BLOCK_PX), np.uint8)), bool)
+
+
+def measured_depth(images: KeyframeImages) -> DepthMap:
+    """What a depth camera has measured.
+
+    Source: Khoshelham and Elberink, "Accuracy and resolution of Kinect depth data for indoor
+    mapping applications" (Sensors, 2012): errors that grow with the square of the depth.
+    """
     depth = images.depth
-    sigma = _SENSOR_SIGMA_PX / (rig.fx * rig.baseline_m)
     if depth is None:
-        return even_depth(np.zeros(images.left.shape, np.float32), sigma)
+        return even_depth(np.zeros(images.left.shape, np.float32), _SENSOR_SIGMA)
     known = np.isfinite(depth) & (depth > 0)
     inverse = np.zeros(depth.shape, np.float32)
     np.divide(np.float32(1), depth, out=inverse, where=known)
-    return even_depth(inverse, sigma)
+    return even_depth(inverse, _SENSOR_SIGMA)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import Any
+from uuid import UUID
 
 import cv2
 import numpy as np
@@ -89,7 +92,9 @@ def _write_las(path: Path, cloud: Cloud, comment: str) -> None:
 
 
 def _write_e57(path: Path, cloud: Cloud, comment: str) -> None:
-    """Single precision about an offset; the scan has an identifier of its own in each file."""
+    """Single precision about an offset; identifiers are those of the contents."""
+    from unittest.mock import patch
+
     pye57 = require("pye57", "e57", "E57 files")
     if not len(cloud.xyz):
         raise OutputError(f"{path} cannot be written: an E57 file needs points")
@@ -97,7 +102,16 @@ def _write_e57(path: Path, cloud: Cloud, comment: str) -> None:
     names = [*(f"cartesian{axis}" for axis in "XYZ"), *(f"color{c}" for c in _CHANNELS)]
     columns = [*(cloud.xyz - offset).T, *cloud.rgb.T]
     points = {name: np.ascontiguousarray(each) for name, each in zip(names, columns, strict=True)}
-    with writing(path), complete_file(path) as file, TemporaryDirectory() as folder:
+    digest = sha256(b"".join(each.tobytes() for each in (*columns, offset)) + comment.encode())
+    identifiers = (UUID(bytes=digest.digest()[k : k + 16], version=4) for k in (0, 16))
+    # It names random identifiers, and the folder where it is installed as its version.
+    source_of_names = SimpleNamespace(uuid4=identifiers.__next__)
+    with (
+        writing(path),
+        complete_file(path) as file,
+        TemporaryDirectory() as folder,
+        patch.multiple(pye57.e57, uuid=source_of_names, __version__="pye57"),
+    ):
         made = Path(folder) / "cloud.e57"
         scan = pye57.E57(str(made), mode="w")
         scan.write_scan_raw(points, name=comment, translation=offset)
