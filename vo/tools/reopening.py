@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +11,7 @@ from vo.base.errors import SourceError
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
 from vo.base.records.focal_length import FocalLength
 from vo.base.types import Floats, Mode
-from vo.outputs.report.run_folder import RunRecord
+from vo.outputs.report.run_folder import RunRecord, table_rows
 from vo.outputs.results.folder import CAMERA
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.rescaling import at_constant_focal_length
@@ -46,6 +45,7 @@ def recording_of(record: RunRecord, source: str | None = None) -> Recording:
 class FramePose(NamedTuple):
     """A row of `poses.csv`."""
 
+    stamp_ns: int
     segment: int
     world_from_cam0: Floats
     is_keyframe: bool
@@ -59,9 +59,9 @@ def poses_of(record: RunRecord) -> dict[int, FramePose]:
     """
     path = record.path / "poses.csv"
     try:
-        rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
         found = {
             int(row["frame"]): FramePose(
+                int(row["stamp_ns"]),
                 int(row["segment"]),
                 make_transform(
                     rotation_from_quat_xyzw(np.array([float(row[f"q{a}"]) for a in "xyzw"])),
@@ -69,10 +69,10 @@ def poses_of(record: RunRecord) -> dict[int, FramePose]:
                 ),
                 row["keyframe"] == "1",
             )
-            for row in rows
+            for row in table_rows(path, warn=False)
         }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise SourceError(f"{path} cannot be read: {error}; run `vo run` again") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise SourceError(f"{path} is damaged: {error}; run `vo run` again") from error
     if not found:
         raise SourceError(f"{path} has no pose; the run has no path")
     return found

@@ -100,8 +100,9 @@ def test_a_depth_camera(room: Path, tmp_path: Path) -> None:
     words: dict[str, Any] = {"world": "room", "motion": "handheld", "camera": "pinhole"}
     vo.synth(tmp_path / "rgbd", to="tum", mono=True, seconds=1.5, overrides=["scale=0.4"], **words)
     vo.run(tmp_path / "rgbd", tmp_path / "run")
-    done = vo.dense(tmp_path / "run", options=vo.DenseOptions(far=6.0, grid=False))
-    assert done.unit == "m" and done.coverage > 0.6
+    done = vo.dense(tmp_path / "run", options=vo.DenseOptions(grid=False))
+    # How far it sees does not depend on the size of its images, here 256x160.
+    assert done.unit == "m" and done.coverage > 0.9 and done.far == pytest.approx(8.8)
 
 
 def test_a_broken_off_call_goes_on_and_gives_the_same_bytes(
@@ -215,11 +216,14 @@ def test_a_run_that_goes_on_to_its_cloud(room: Path, tmp_path: Path) -> None:
         (["--segment", "7"], "has no segment 7; it has 0"),
         (["--cloud", "a.txt"], "give a name in .las, .laz or .e57"),
         (["/nowhere"], "/nowhere"),
+        (["-o", "{room}"], "choose another"),
+        (["--rrd", "{stereo}/poses.csv"], "is an input and would be replaced"),
     ],
 )
 def test_what_cannot_be_is_refused(
-    stereo: Path, tmp_path: Path, words: list[str], message: str
+    room: Path, stereo: Path, tmp_path: Path, words: list[str], message: str
 ) -> None:
+    words = [word.format(room=room / "mav0", stereo=stereo) for word in words]
     result = CliRunner().invoke(app, ["dense", str(stereo), "-o", str(tmp_path / "x"), *words])
     assert result.exit_code == 1 and message in " ".join(result.output.split())
     assert result.output.count("\n") == 1
@@ -241,3 +245,21 @@ def test_a_run_with_too_little_to_see(room: Path, stereo: Path, tmp_path: Path) 
 def test_a_folder_without_a_run(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["dense", str(tmp_path)])
     assert result.exit_code == 1 and "has no summary.json" in " ".join(result.output.split())
+
+
+def test_another_recording_is_refused(stereo: Path, tmp_path: Path) -> None:
+    words: dict[str, Any] = {"world": "room", "motion": "handheld", "camera": "pinhole"}
+    vo.synth(tmp_path / "other", seconds=2.0, fps=5.0, overrides=["scale=0.5"], **words)
+    with pytest.raises(vo.SourceError, match="other is not the recording of .*stereo"):
+        vo.dense(stereo, tmp_path / "out", tmp_path / "other")
+
+
+def test_a_cut_off_line_of_poses_is_left_out(stereo: Path, tmp_path: Path) -> None:
+    run = Path(shutil.copytree(stereo, tmp_path / "run"))
+    whole = (run / "poses.csv").read_text().splitlines()
+    (run / "poses.csv").write_text("\n".join(whole[:30])[:-40])
+    words = ["dense", str(run), "-o", str(tmp_path / "x"), "--no-mesh", "--no-grid"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    keyframes = sum(line.split(",")[3] == "1" for line in whole[1:29])
+    assert json.loads((tmp_path / "x" / "dense.json").read_text())["keyframes"] == keyframes

@@ -179,14 +179,19 @@ def _trajectory(path: Path) -> Trajectory:
     return read_tum(found)
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def table_rows(path: Path, *, warn: bool = True) -> list[dict[str, str]]:
+    """Rows of a table of a run, none if it is not there; a line that is cut off is left out.
+
+    Raises:
+        SourceError: the file cannot be read.
+    """
     found = _existing(path)
     if found is None:
         return []
     try:
         text = read_text(found)
         lines, _, cut_off = text.rpartition("\n")
-        if cut_off:
+        if cut_off and warn:
             _log.warning("%s: the last line is cut off and ignored", found)
         return list(csv.DictReader(lines.split("\n")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -194,7 +199,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def _worlds(path: Path) -> tuple[Ints, Ints]:
-    rows = _rows(path)
+    rows = table_rows(path)
     try:
         stamps, segments = (
             np.array([int(row[name]) for row in rows], dtype=np.int64)
@@ -206,7 +211,7 @@ def _worlds(path: Path) -> tuple[Ints, Ints]:
 
 
 def _frames(path: Path) -> FrameTable | None:
-    rows = _rows(path)
+    rows = table_rows(path)
     if not rows:
         return None
     try:
@@ -240,7 +245,7 @@ def _markers(path: Path) -> tuple[MappedMarker, ...]:
                 last_frame=int(row["last_frame"]),
                 error=float(row["error"]),
             )
-            for row in _rows(path)
+            for row in table_rows(path)
         )
         numbers = [(*each.position, each.sigma_m, each.error) for each in found]
         if not np.isfinite(numbers).all():
@@ -251,7 +256,7 @@ def _markers(path: Path) -> tuple[MappedMarker, ...]:
 
 
 def _positions(path: Path) -> GivenPositions | None:
-    rows = _rows(path)
+    rows = table_rows(path)
     if not rows:
         return None
     try:
@@ -267,7 +272,7 @@ def _positions(path: Path) -> GivenPositions | None:
 
 def _sigmas(path: Path) -> Sigmas | None:
     try:
-        known = [row for row in _rows(path) if row["c_rx_rx"]]
+        known = [row for row in table_rows(path) if row["c_rx_rx"]]
         if not known:
             return None
         stamps, segments = (

@@ -52,10 +52,11 @@ def densify(
     options.check()
     others = options.cloud, options.nerfstudio, options.colmap, options.rrd
     named = [Path(each) for each in others if each]
-    refuse_to_overwrite([Path(run)], named)
     record = read_run(Path(run))
     keyframes = RunKeyframes(record, None if source is None else str(source), options.segment)
     folder = Path(run) / "dense" if output is None else Path(output)
+    read = [path for path in Path(run).iterdir() if path.is_file()]
+    refuse_to_overwrite([Path(source or str(record.summary["source"])), *read], [folder, *named])
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     report = progress or (lambda done, total: None)
@@ -95,7 +96,7 @@ def _estimate(keyframes: RunKeyframes, store: DepthStore) -> Iterator[int]:
             seen = [(each.left, each.world_from_cam) for each in window]
             found = swept_depth(seen[middle], seen[:middle], seen[middle + 1 :], rig)
         elif images.depth is not None:
-            found = measured_depth(images, rig)
+            found = measured_depth(images)
         else:
             found = matchers[worker](images)
         if images.mask is not None:

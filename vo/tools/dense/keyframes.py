@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +20,8 @@ from vo.base.types import Bools, Bytes, Floats, Floats32, Frame
 from vo.outputs.report.run_folder import RunRecord
 from vo.recordings.sources.source import Recording
 from vo.tools.reopening import poses_of, recording_of
+
+_MAX_LATE_NS = 100_000_000  # of an image of the same recording, whose stamps may be corrected
 
 
 class KeyframeImages(NamedTuple):
@@ -74,7 +77,18 @@ class RunKeyframes:
         to_pinhole = self.rig.cam0_from_rectified
         chosen = {k: pose for k, pose in sorted(poses.items()) if pose.segment == self.segment}
         self.frames = list(chosen)
+        self._check_stamps(record.path, [pose.stamp_ns for pose in chosen.values()])
         self.world_from_cam = np.stack([p.world_from_cam0 @ to_pinhole for p in chosen.values()])
+
+    def _check_stamps(self, run: Path, expected_ns: list[int]) -> None:
+        stamps_ns = self._stream.stamps_ns
+        for frame, expected in zip(self.frames, expected_ns, strict=True):
+            found = f"image {frame} at {stamps_ns[frame]} ns" if frame < len(stamps_ns) else "none"
+            if found == "none" or abs(int(stamps_ns[frame]) - expected) > _MAX_LATE_NS:
+                raise SourceError(
+                    f"{self._stream.name} is not the recording of {run}, whose image {frame} is at "
+                    f"{expected} ns; here is {found}"
+                )
 
     def __len__(self) -> int:
         return len(self.frames)
