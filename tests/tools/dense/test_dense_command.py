@@ -102,7 +102,7 @@ def test_a_depth_camera(room: Path, tmp_path: Path) -> None:
     vo.run(tmp_path / "rgbd", tmp_path / "run")
     done = vo.dense(tmp_path / "run", options=vo.DenseOptions(grid=False))
     # How far it sees does not depend on the size of its images, here 256x160.
-    assert done.unit == "m" and done.coverage > 0.9 and done.far == pytest.approx(8.8)
+    assert done.unit == "m" and done.coverage > 0.75 and done.far == pytest.approx(8.8)
 
 
 def test_a_broken_off_call_goes_on_and_gives_the_same_bytes(
