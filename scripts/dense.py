@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import sys
 import time
 from pathlib import Path
@@ -10,13 +11,15 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import yaml
 from common import EXPERIMENTS, parser_of, write_section
 from scipy.spatial import cKDTree
 
 import vo
-from vo.base.geometry.transforms import transform_points
+from vo.base.geometry.transforms import inverse, make_transform, transform_points
 from vo.base.types import Camera, Floats, Ints
 from vo.recordings.formats.mesh import read_mesh
+from vo.tools.dense.ground import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
 
 _ROOT = Path(__file__).resolve().parents[1]
 _CASES = {  # preset of the suite, seconds, and how near to the truth a point is right, in metres
@@ -29,7 +32,8 @@ _SAMPLES = 100_000  # points of each kind that are compared
 _POINT = np.dtype([("xyz", "<f4", 3), ("normal", "<f4", 3), ("rgb", "u1", 3)])
 _HEADING = (
     "| recording | cameras | depth to, m | median, % | complete, % | outliers, % | mesh, mm |"
-    " keyframes | keyframes/s |\n|---|---|---:|---:|---:|---:|---:|---:|---:|"
+    " free, % | gaps | keyframes | keyframes/s |\n|---|---|---:|---:|---:|---:|---:|---:|---:|---:|"
+    "---:|"
 )
 
 
@@ -92,10 +96,14 @@ def _row(
     distance = _distances(truth, _some(cloud), near)
     complete = cKDTree(cloud).query(_some(_seen_twice(truth, near)))[0] < near
     mesh = _distances(truth, _some(placed(read_mesh(done.output / "mesh.ply").vertices)), near)
+    grid = "– | –"
+    if mode == "stereo":
+        world_from_truth = inverse(make_transform(alignment.rotation, alignment.translation))
+        grid = _grid_errors(recording, done, stamps, world_from_truth)
     line = (
         f"| {name} | {mode} | {done.far * scale:.1f} | {100 * np.median(errors):.2f} | "
         f"{100 * complete.mean():.0f} | {100 * np.mean(distance > 5 * near):.1f} | "
-        f"{1000 * mesh.mean():.0f} | {done.keyframes} | {done.keyframes / took_s:.1f} |"
+        f"{1000 * mesh.mean():.0f} | {grid} | {done.keyframes} | {done.keyframes / took_s:.1f} |"
     )
     return line, done.far * scale
 
@@ -119,6 +127,39 @@ def _depth_errors(recording: Path, output: Path, stamps: dict[int, int], scale: 
         error = np.abs(depth / true - 1.0)[depth > 0]
         found.append(error[np.isfinite(error)][::20])
     return np.concatenate(found)
+
+
+def _grid_errors(
+    recording: Path, done: Any, stamps: dict[int, int], world_from_truth: Floats
+) -> str:
+    """Of the cells that true depths call free, how many are, in percent; and how many gaps.
+
+    A gap is a cell that is free, occupied in truth, and not beside one that is occupied.
+    """
+    source: Any = vo.open(recording)
+    camera, path = source.rig.cam0, source.ground_truth
+    summary = json.loads((done.output / "dense.json").read_text())
+    ground_from_truth = np.array(summary["ground_from_world"]) @ world_from_truth
+    header = yaml.safe_load((done.output / "map.yaml").read_text())
+    found = np.asarray(cv2.imread(str(done.output / "map.pgm"), cv2.IMREAD_GRAYSCALE))
+    edge, low = header["resolution"], np.array(header["origin"][:2])
+    low += 0.5 * edge
+    high = low + (np.array(found.shape[::-1]) - 2) * edge
+    true = OccupancyGrid(low, high, edge, (0.15, 1.8))
+    v, u = np.mgrid[: camera.height : 2, : camera.width : 2]
+    for stamp in stamps.values():
+        z = _true_depth(recording, stamp)[::2, ::2]
+        seen = z < done.far
+        x, y = (u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z
+        at = int(np.argmin(np.abs(path.stamps_ns - stamp)))
+        pose = ground_from_truth @ path.world_from_cam[at]
+        true.add(transform_points(pose, np.stack([x, y, z], axis=-1)[seen]), u[seen], pose)
+    cells = true.grid().cells
+    free = (cells == FREE) & (found != UNKNOWN)
+    occupied = cv2.dilate((found == OCCUPIED).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    gaps = (cells == OCCUPIED) & (found == FREE) & ~occupied
+    print(f"{free.sum()} free cells, {(cells == OCCUPIED).sum()} occupied", file=sys.stderr)
+    return f"{100 * np.mean(found[free] == FREE):.1f} | {gaps.sum()}"
 
 
 def _truth(recording: Path, camera: Camera, path: Any, stamps: dict[int, int], far: float) -> Truth:
