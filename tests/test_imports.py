@@ -66,6 +66,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"map_creator"},
         {"map_alignment"},
         {"recovery"},
+        {"odometry_base"},
         {"stages"},
         {"odometry"},
         {"rig"},

@@ -49,3 +49,11 @@ def test_a_sensor_gives_metres_where_cameras_see_nothing_in_common(tmp_path: Pat
     assert any("its 2 cameras see nothing in common; only cam0 and the" in text for text in found)
     alone = vo.run(path, tmp_path / "both", imu=False)
     assert alone.facts.mode != "mono" and alone.tracked > 15
+
+
+def test_a_rig_is_found_in_the_map_of_an_earlier_run(robot: Path, tmp_path: Path) -> None:
+    file = tmp_path / "room.vomap"
+    vo.run(robot, tmp_path / "first", save_map=file)
+    summary = vo.run(robot, tmp_path / "second", map=file)
+    assert summary.map is not None and summary.map.met == (0,)
+    assert vo.evaluate(tmp_path / "second", robot).ate.translation.rmse < 0.01

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from typing import Generic, Protocol, TypeVar
 
 from vo.base.failures import Failure, FailureReason, ImageDefect
 from vo.base.types import Floats, State
@@ -21,6 +22,27 @@ _MAX_MISSING_RATIO = 0.5  # of the rows of an image
 _MAX_PREDICTED_S = 1.5  # lost frames that an inertial sensor predicts
 
 
+class AnyFrame(Protocol):
+    """A preprocessed frame."""
+
+    @property
+    def index(self) -> int:
+        """Its number in the source."""
+        ...
+
+    @property
+    def stamp_ns(self) -> int:
+        """Its time."""
+        ...
+
+    def start_features(self) -> None:
+        """Start to extract features, in a thread where there is one."""
+        ...
+
+
+FrameT = TypeVar("FrameT", bound=AnyFrame)
+
+
 class LossPolicy:
     """Gives up after a number of lost frames; later while an inertial sensor predicts the pose."""
 
@@ -28,7 +50,7 @@ class LossPolicy:
         self._recover_frames = recover_frames
         self._predictor = predictor
 
-    def gives_up(self, lost: Sequence[PreprocessedFrame]) -> bool:
+    def gives_up(self, lost: Sequence[AnyFrame]) -> bool:
         """Whether to give up the map after these lost frames."""
         if len(lost) <= self._recover_frames:
             return False
@@ -38,13 +60,49 @@ class LossPolicy:
         return not self._predictor.has_samples(first_ns, last_ns)
 
 
-class Recovery:
-    """Decides what to do with frames that mislead, repeat or are lost; knows the state.
+class Segments(Generic[FrameT]):
+    """Begins a new segment where too many frames are lost, and tracks them again; knows the state.
 
     Attributes:
         state: whether there is a map, and whether the newest frame was tracked in it.
         segment: number of the segment of the newest frame.
+
+    Args:
+        give_up: the map, before a new segment.
     """
+
+    def __init__(self, policy: LossPolicy, give_up: Callable[[], None]) -> None:
+        self.state = State.STARTING
+        self.segment = 0
+        self._policy = policy
+        self._give_up = give_up
+        self._lost: list[FrameT] = []  # the newest frames, since tracking was lost
+
+    def frames(self, frame: FrameT) -> Iterator[FrameT]:
+        """Frames to track one after the other: a new one, and lost ones after it.
+
+        A map in which too many were lost is given up, as a new one may hold them.
+        """
+        yield frame
+        if self._policy.gives_up(self._lost):
+            self._give_up()
+            lost, self._lost = self._lost, []
+            self.state = State.STARTING
+            self.segment += 1
+            yield from lost
+
+    def found(self) -> None:
+        """Go on from a frame that was tracked."""
+        self.state, self._lost = State.TRACKING, []
+
+    def lose(self, frame: FrameT) -> None:
+        """Keep a frame that was not tracked."""
+        self.state = State.LOST
+        self._lost.append(frame)
+
+
+class Recovery(Segments[PreprocessedFrame]):
+    """Decides what to do with frames that mislead, repeat or are lost."""
 
     def __init__(
         self,
@@ -55,28 +113,22 @@ class Recovery:
         map_alignment: MapAlignment,
         policy: LossPolicy,
     ) -> None:
-        self.state = State.STARTING
-        self.segment = 0
+        super().__init__(policy, self._give_up_map)
         self._tracker = tracker
         self._rescue = rescue
         self._creator = creator
         self._updater = updater
         self._map_alignment = map_alignment
-        self._policy = policy
         self._frozen_camera = FrozenCamera(tracker)
-        self._lost: list[PreprocessedFrame] = []  # the newest frames, since tracking was lost
 
     def frames(self, frame: PreprocessedFrame) -> Iterator[PreprocessedFrame]:
         """Frames to track one after the other: a new one, misled ones before it, lost ones after.
 
-        Those that were misled are forgotten first. A map in which too many were lost is given up,
-        as a new one may hold them.
+        Those that were misled are forgotten first.
         """
         misled = frame.misled if self._forget(frame.misled) else ()
         for each in (*misled, frame):
-            yield each
-            if self._policy.gives_up(self._lost):
-                yield from self._start_segment()
+            yield from super().frames(each)
 
     def why_useless(self, frame: PreprocessedFrame) -> Failure | None:
         """Why a frame is not tracked: it repeats the one before as the camera moves, or lacks rows.
@@ -103,19 +155,15 @@ class Recovery:
         if isinstance(tracked, Failure):
             frame, tracked = self._rescue.track(frame, tracked)
         if isinstance(tracked, Failure):
-            self.state = State.LOST
-            self._lost.append(frame.of_kind(is_second=False))
+            self.lose(frame.of_kind(is_second=False))
         else:
-            self._found()
+            self.found()
         return frame, tracked
 
     def start(self, frame: PreprocessedFrame) -> PreprocessedFrame:
         """Track in a new map from now on; its frame with features of the map's kind."""
-        self._found()
+        self.found()
         return self._rescue.of_map(frame)
-
-    def _found(self) -> None:
-        self.state, self._lost = State.TRACKING, []
 
     def _forget(self, misled: Sequence[PreprocessedFrame]) -> bool:
         """Go back to before misled frames; whether that was possible."""
@@ -126,12 +174,7 @@ class Recovery:
         self.state, self._lost = State.STARTING, []
         return True
 
-    def _start_segment(self) -> list[PreprocessedFrame]:
-        """Give up the map; the lost frames."""
+    def _give_up_map(self) -> None:
         self._updater.apply()
-        frames, self._lost = self._lost, []
         self._tracker.forget_last_frame()
         self._creator.restart()
-        self.state = State.STARTING
-        self.segment += 1
-        return frames

@@ -127,7 +127,7 @@ def make_stages(
     reader = None if given is None else SampleReader(given)
     predictor = _predictor(reader, components.inertial_noise, rectified)
     inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
-    memory = _memory(rectified, descriptors, config, trajectory, stopwatch, inertial)
+    memory = memory_of_run(rectified, descriptors, config, trajectory, stopwatch, inertial)
     final = _final(frontend, config, trajectory, stopwatch)
     stores = [each for each in (components.keyframe_store, memory, final) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
@@ -180,21 +180,28 @@ def _inertial(
     return InertialAlignment(reader, predictor, rig, trajectory, stopwatch)
 
 
-def _memory(
+def memory_of_run(
     rig: RectifiedRig,
     descriptors: DescriptorFormat,
     config: Config,
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
-    inertial: InertialAlignment | None,
+    inertial: InertialAlignment | None = None,
+    *,
+    is_metric: bool | None = None,
 ) -> Memory | None:
+    """The memory of a run, None where no loops are to be closed; see `make_memory`.
+
+    `is_metric`: whether lengths are metres; by default where the rectified camera has a right one.
+    """
     memory = config.memory
     if memory.loops is False or (memory.loops == "auto" and not memory.map):
         return None
     from vo.engine.memory.memory_creation import make_memory
 
     threads = config.threads or available_cores()
-    return make_memory(rig, descriptors, config, trajectory, stopwatch, threads, inertial)
+    parts = rig, descriptors, config, trajectory, stopwatch, threads, inertial
+    return make_memory(*parts, is_metric=rig.is_metric if is_metric is None else is_metric)
 
 
 def _final(

@@ -23,7 +23,7 @@ from vo.base.images.image_areas import split_cameras
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.inertial_use import InertialUse
 from vo.base.scheduling import one_opencv_thread
-from vo.engine.rig.creation import is_tracked_as_rig, make_odometry
+from vo.engine.rig.creation import check_has_map, is_tracked_as_rig, make_odometry
 from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
@@ -164,8 +164,8 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     if not (is_live or is_metric) and components.inertial_sensor is None:
         decided = _with_rescue(decided, components)
     process = options.optimizer_process
-    if options.save_map is not None and rig.further:
-        raise ConfigError("`save_map` is for one or two cameras; use `mode=stereo` or `mode=mono`")
+    if options.save_map is not None:
+        check_has_map(rig, "save_map")
     with closing(make_odometry(rig, decided, components, process)) as odometry:
         if options.save_map is not None:
             odometry.map_alignment.check_savable(options.save_map)

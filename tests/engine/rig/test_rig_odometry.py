@@ -82,6 +82,44 @@ def test_all_black_frames_are_lost_and_found_again(walk: Walk) -> None:
     assert ate(path, walk.truth) < 0.003
 
 
+def test_after_long_darkness_a_new_segment_is_joined_where_the_place_is_known(walk: Walk) -> None:
+    count, dark = len(walk.frames), 12
+    there_and_back = [*range(count), *[count - 1] * dark, *range(count - 1, -1, -1)]
+    frames = []
+    for index, number in enumerate(there_and_back):
+        images = walk.frames[number].images
+        if count <= index < count + dark:
+            images = tuple(np.zeros_like(walk.frames[0].image0) for _ in images)
+        frames.append(Frame(index, 100_000_000 * index, images))
+    settings = ["memory.loops=true", "tracking.recover_frames=5"]
+    estimates, path = track(walk.rig, frames, settings)
+    assert [estimates[count - 1].segment, estimates[count + dark].segment] == [0, 1]
+    lost = [e.frame_index for e in estimates if not e.state.has_pose]
+    assert lost == list(range(count, count + dark))
+    # One path: the way back is on the way there, and not in a frame of its own.
+    assert len(path) == 2 * count
+    apart = path.positions[:count] - path.positions[: count - 1 : -1]
+    assert np.linalg.norm(apart, axis=1).max() < 0.02
+
+
+def test_an_implausible_step_that_few_landmarks_confirm_gets_no_pose(walk: Walk) -> None:
+    def jump(frame: Frame) -> Frame:
+        """Images of 0.4 s later, of which noise hides the lower part."""
+        if frame.index != 15:
+            return frame
+        images = [image.copy() for image in walk.frames[19].images if image is not None]
+        noise = np.random.default_rng(1).integers(0, 255, (90, 320), np.uint8)
+        for image in images:
+            image[150:] = noise
+        return replace(frame, images=tuple(images))
+
+    estimates, path = track(walk.rig, edited(walk.frames, jump))
+    assert not estimates[15].state.has_pose
+    assert FaultKind.IMPLAUSIBLE_STEP in {fault.kind for fault in estimates[15].faults}
+    assert {e.segment for e in estimates} == {0}
+    assert len(path) == len(walk.frames) - 1 and ate(path, walk.truth) < 0.003
+
+
 def test_a_program_gives_the_images_of_all_cameras(walk: Walk) -> None:
     _, path = track(walk.rig, walk.frames[:8])
     overrides = ["memory.loops=false"]

@@ -50,7 +50,7 @@ class Walk:
         interval_s = frames * INTERVAL_S
         stamp_ns = round((self.frame + frames) * INTERVAL_S * 1e9)
         predicted = pose(self.x + self.velocity * interval_s)
-        step = Step(stamp_ns, pose(self.x), predicted, tracked(self.x + dx, ratio))
+        step = Step(stamp_ns, pose(self.x), predicted, pose(self.x + dx), ratio)
         failure = self.check.failure(step)
         if failure is None:
             self.check.update(step)
@@ -113,7 +113,7 @@ def test_without_a_scale_the_speed_is_the_unit() -> None:
 def test_no_camera_is_faster_than_sound() -> None:
     check = StepCheck(is_metric=True)
     check.restart(0)
-    step = Step(100_000_000, pose(0.0), pose(0.0), tracked(50.0, 0.9))
+    step = Step(100_000_000, pose(0.0), pose(0.0), pose(50.0), 0.9)
     failure = check.failure(step)
     assert failure is not None and failure.reason is FailureReason.IMPLAUSIBLE_SPEED
     assert failure.value == 500.0

@@ -61,11 +61,13 @@ class LocalMap:
         stores: Sequence[KeyframeStore] = (),
         sigma_disparity_px: float = 0.4,
         newest: int | None = None,
+        views: int = 1,
     ) -> None:
         self.rig, self._k1 = rig, rig.k1_error
         self.keyframes: list[Keyframe] = []
         self.images: Bytes = np.zeros((capacity, rig.height, rig.width), dtype=np.uint8)
         self._capacity = capacity
+        self._views = views
         self._descriptors = descriptors
         self._stores = tuple(stores)
         self._newest = capacity if newest is None else newest
@@ -108,6 +110,11 @@ class LocalMap:
         return np.stack([k.world_from_cam for k in self.keyframes])
 
     @property
+    def of_first_view(self) -> list[Keyframe]:
+        """One keyframe of each instant, which stores receive."""
+        return self.keyframes[:: self._views]
+
+    @property
     def has_second_kind(self) -> bool:
         """Whether its features are of the second kind, see `vo.engine.tracking.rescue`."""
         return (self.descriptor.shape[1], self.descriptor.dtype) != self._descriptors
@@ -115,6 +122,10 @@ class LocalMap:
     def clear(self) -> None:
         """Remove all keyframes and landmarks; ids go on."""
         self.hand_over(self._stores)
+        self.discard()
+
+    def discard(self) -> None:
+        """Remove all keyframes and landmarks, which stores do not receive; ids go on."""
         self.keyframes, self._stored = [], 0
         self._remove_landmarks()
 
@@ -314,6 +325,8 @@ class LocalMap:
         return StoredLandmarks(**fields, sigma=self.position_sigma(rows))
 
     def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
+        if keyframe.id % self._views:
+            return
         for store in stores:
             store.add(keyframe, partial(self.landmarks_of, keyframe), self.images[keyframe.slot])
 

@@ -30,7 +30,7 @@ class EarlySearch:
 
     def submit(self, frame: int, local_map: LocalMap) -> None:
         """Search for the newest keyframe, unless it was searched or another search is going on."""
-        keyframes = local_map.keyframes
+        keyframes = local_map.of_first_view
         if self._future is not None or not keyframes or keyframes[-1].id <= self._newest:
             return
         self._newest = keyframes[-1].id

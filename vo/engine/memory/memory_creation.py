@@ -38,6 +38,8 @@ def make_memory(
     stopwatch: Stopwatch,
     threads: int,
     inertial: InertialAlignment | None = None,
+    *,
+    is_metric: bool,
 ) -> Memory:
     """The memory of a run.
 
@@ -56,16 +58,16 @@ def make_memory(
         from vo.engine.maps.loading import load_map
 
         try:
-            loaded = load_map(Path(file), database, is_metric=rig.is_metric)
+            loaded = load_map(Path(file), database, is_metric=is_metric)
         except BaseException:
             database.close()
             raise
-        graph.add_map(loaded.placed, is_metric=rig.is_metric)
+        graph.add_map(loaded.placed, is_metric=is_metric)
         session = len(loaded.header.sessions)
     localizes = config.memory.localize
-    adjusts = config.memory.adjust and not rig.is_metric and inertial is None
+    adjusts = config.memory.adjust and not is_metric and inertial is None
     describer = OrbExtractor(config.features) if config.features.is_rescued else None
-    maker = PlaceMaker(session, scale_factor, is_metric=rig.is_metric, describer=describer)
+    maker = PlaceMaker(session, scale_factor, is_metric=is_metric, describer=describer)
     judges = partial(make_judges, vocabulary, config)
     recogniser = Recogniser(database, judges, camera, threads, loaded, localizes=localizes)
     return Memory(

@@ -69,7 +69,7 @@ class PlaceMaker:
 
     def newest(self, local_map: LocalMap, count: int) -> list[Place]:
         """Places of the newest keyframes that are still in the local map, newest first."""
-        keyframes = local_map.keyframes
+        keyframes = local_map.of_first_view
         return [
             self._place(
                 self._of_path(keyframes[n - 1] if n > 0 else None, keyframes[n]),

@@ -39,13 +39,19 @@ def make_odometry(
     if not is_tracked_as_rig(rig):
         return Odometry(rig, config, components, optimizer_process)
     if config.memory.map:
-        raise ConfigError(
-            f"`memory.map` is for one or two cameras, not for {len(rig.cameras)}; use "
-            "`mode=stereo` or `mode=mono`"
-        )
+        check_has_map(rig, "memory.map")
     from vo.engine.rig.odometry import RigOdometry
 
     return RigOdometry(rig, config, components, optimizer_process)
+
+
+def check_has_map(rig: Rig, option: str) -> None:
+    """Refuse an option of maps for cameras that close no loops; raises `ConfigError`."""
+    if is_tracked_as_rig(rig) and not overlaps(rig):
+        raise ConfigError(
+            f"`{option}` is for cameras of which two see the same; these {len(rig.cameras)} see "
+            "nothing in common: use `mode=mono`"
+        )
 
 
 def scale_sources(odometry: AnyOdometry) -> tuple[ScaleSource, ...]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vo.base.types import Floats
-from vo.engine.mapping.tracked_frame import Observations, TrackedFrame
+from vo.engine.mapping.tracked_frame import LastFrame, Observations, TrackedFrame, last_frame
 from vo.engine.rig.frames import RigFrame
 
 _MIN_LANDMARKS = 150  # aligned in each view
@@ -42,9 +42,15 @@ class RigTracked:
         """Number of landmarks that should be in the views, each counted in all of them."""
         return sum(view.in_view for view in self.views)
 
-    def world_from_view(self, view: int) -> Floats:
-        """(4, 4) pose of a view."""
-        return np.asarray(self.world_from_body @ self.body_from_views[view])
+    @property
+    def inlier_ratio(self) -> float:
+        """Inliers among the landmarks that should be in the views."""
+        return self.inliers / max(self.in_view, 1)
+
+    @property
+    def body(self) -> TrackedFrame:
+        """View 0, with the pose of the body."""
+        return replace(self.views[0], world_from_cam=self.world_from_body)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +59,10 @@ class LastRigFrame:
 
     frame: RigFrame
     tracked: RigTracked
+
+    def in_view(self, view: int) -> LastFrame:
+        """One view alone."""
+        return last_frame(self.frame.views[view], self.tracked.views[view])
 
 
 def unobserved() -> Observations:

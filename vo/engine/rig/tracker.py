@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from vo.base.config import TrackingConfig
+from vo.base.failures import Failure, FailureReason
 from vo.base.geometry.transforms import inverse
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats
 from vo.engine.frontend.contracts import FeatureSet, feature_set
 from vo.engine.frontend.frontend import Frontend
 from vo.engine.mapping.local_map import LocalMap
-from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
+from vo.engine.mapping.tracked_frame import TrackedFrame
 from vo.engine.rig.frames import RigFrame
 from vo.engine.rig.pose_fit import RigObservations, RigTies, fit_rig
 from vo.engine.rig.tracked import LastRigFrame, RigTracked, landmarks_per_view, unobserved
@@ -23,6 +24,7 @@ from vo.engine.tracking.landmark_alignment import LandmarkAligner
 from vo.engine.tracking.motion_model import ConstantVelocity
 from vo.engine.tracking.pose_estimation import PoseEstimator
 from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
+from vo.engine.tracking.step_check import Step, StepCheck
 from vo.engine.tracking.visibility import Visible, outside, visible_landmarks
 
 _MIN_SPARSE_RATIO = 0.5  # of the last frame's inliers, that confirms a pose at once
@@ -50,6 +52,7 @@ class RigTracker:
         self.motion = ConstantVelocity()
         self.stopwatch = stopwatch
         self._velocity = BodyVelocity()
+        self._steps = StepCheck(is_metric=True)
         self._map = local_map
         self._config = config
         self._matcher = frontend.matcher
@@ -58,11 +61,17 @@ class RigTracker:
         self._estimator = PoseEstimator(local_map, 1.0, config)
         self._most = landmarks_per_view(config.max_landmarks, len(body_from_views))
 
-    def restart(self, frame: RigFrame, tracked: RigTracked) -> None:
+    def restart(self, frame: RigFrame, tracked: RigTracked, *, is_metric: bool) -> None:
         """Begin at a frame that a new map was made of, with unknown velocity."""
         self.motion.restart(frame.stamp_ns, tracked.world_from_body)
         self._velocity.restart()
+        self._steps = StepCheck(is_metric=is_metric)
+        self._steps.restart(frame.stamp_ns)
         self.last = LastRigFrame(frame, tracked)
+
+    def ahead(self, stamp_ns: int) -> Floats | None:
+        """The pose of the body after the newest frame; None if it is unknown."""
+        return None if self.last is None else self.motion.ahead(stamp_ns)
 
     def update(self, frame: RigFrame, tracked: RigTracked) -> LastRigFrame | None:
         """Continue from a tracked frame.
@@ -71,6 +80,7 @@ class RigTracker:
             The frame before with its views where this one shows that they are, if they have
             different times.
         """
+        self._steps.update(self._step(frame, tracked))
         before, moved = self.last, None
         if any(frame.delay_s) and before is not None:
             elapsed_s = 1e-9 * (frame.stamp_ns - before.frame.stamp_ns)
@@ -103,8 +113,29 @@ class RigTracker:
         return ties._replace(twist=prior.velocity(world_from_body), prior=prior)
 
     @timed("match")
-    def track(self, frame: RigFrame, *, is_lost: bool) -> RigTracked | None:
-        """The pose of a frame; None if too few landmarks agree on one."""
+    def track(self, frame: RigFrame, *, is_lost: bool) -> RigTracked | Failure:
+        """The pose of a frame, or why it has none.
+
+        A step that the motion before does not support is tried again from other initial poses.
+        """
+        tracked = self._confirmed(frame, is_lost=is_lost)
+        if tracked is None:
+            return Failure(FailureReason.FEW_INLIERS)
+        failure = self._steps.failure(self._step(frame, tracked))
+        if failure is None:
+            return tracked
+        other = self._confirmed(frame, is_lost=True)
+        if other is not None and self._steps.failure(self._step(frame, other)) is None:
+            return other
+        self._steps.reject(self._step(frame, tracked))
+        return failure
+
+    def _step(self, frame: RigFrame, tracked: RigTracked) -> Step:
+        predicted, pose = self.motion.predict(frame.stamp_ns), tracked.world_from_body
+        return Step(frame.stamp_ns, self.motion.last, predicted, pose, tracked.inlier_ratio)
+
+    def _confirmed(self, frame: RigFrame, *, is_lost: bool) -> RigTracked | None:
+        """The pose on which the most landmarks agree; None if those are too few."""
         best: RigTracked | None = None
         enough = 0.0
         if self.last is not None and not is_lost:
@@ -138,10 +169,7 @@ class RigTracker:
         last, tied = self.last, self.ties(frame, predicted).at_their_times
         counts = [v.inliers * used for v, used in zip(last.tracked.views, frame.used, strict=True)]
         for view in np.argsort(counts)[::-1][:_ALIGNED_VIEWS].tolist():
-            seen, image = last.tracked.views[view], frame.views[view]
-            before = LastFrame(
-                last.frame.views[view], seen.ids, seen.observed.image_xy, seen.inlier
-            )
+            before, image = last.in_view(view), frame.views[view]
             # The body of the last frame may have moved with the map since.
             pose = self.motion.last @ last.tracked.body_from_views[view]
             motion = sparse_image_alignment(self._map, before, pose, image, predicted @ tied[view])

@@ -47,12 +47,15 @@ class Step(NamedTuple):
         stamp_ns: time of the frame.
         last: (4, 4) world_from_cam of the last tracked frame.
         predicted: (4, 4) of the frame, by the motion before.
+        pose: (4, 4) of the frame, as tracked.
+        inlier_ratio: of the landmarks in view, that agree with it.
     """
 
     stamp_ns: int
     last: Floats
     predicted: Floats
-    tracked: TrackedFrame
+    pose: Floats
+    inlier_ratio: float
 
 
 class StepCheck:
@@ -81,9 +84,9 @@ class StepCheck:
         if interval_s > 0:
             if self._interval_s > 0:
                 self._accelerations.append(self._acceleration(step))
-            speed = _distance(step.last, step.tracked.world_from_cam) / interval_s
+            speed = _distance(step.last, step.pose) / interval_s
             self._max_speed = max(self._max_speed, speed)
-        self._ratios.append(step.tracked.inlier_ratio)
+        self._ratios.append(step.inlier_ratio)
         self._stamp_ns, self._interval_s, self._rejected = step.stamp_ns, interval_s, None
 
     def failure(self, step: Step) -> Failure | None:
@@ -91,7 +94,7 @@ class StepCheck:
         interval_s = (step.stamp_ns - self._stamp_ns) * 1e-9
         if interval_s <= 0:
             return None
-        speed = _distance(step.last, step.tracked.world_from_cam) / interval_s
+        speed = _distance(step.last, step.pose) / interval_s
         if self._is_metric and speed > _MAX_SPEED_M_S:
             return Failure(FailureReason.IMPLAUSIBLE_SPEED, speed, _MAX_SPEED_M_S)
         if not self.knows_motion:
@@ -99,14 +102,14 @@ class StepCheck:
         excess = self._acceleration(step) / self._usual()
         if excess < _MAX_EXCESS:
             return None
-        if self._is_well_supported(step.tracked) or self._is_confirming(step):
+        if self._is_well_supported(step.inlier_ratio) or self._is_confirming(step):
             return None
         return Failure(FailureReason.IMPLAUSIBLE_STEP, excess, _MAX_EXCESS)
 
     def reject(self, step: Step) -> None:
         """Remember a pose that was not accepted."""
-        position = step.tracked.world_from_cam[:3, 3]
-        self._rejected = _Rejected(step.stamp_ns, position, step.tracked.inlier_ratio)
+        position = step.pose[:3, 3]
+        self._rejected = _Rejected(step.stamp_ns, position, step.inlier_ratio)
 
     def _usual(self) -> float:
         fewest = _MIN_USUAL_M_S2 if self._is_metric else _MIN_USUAL_PER_S * self._max_speed
@@ -118,11 +121,10 @@ class StepCheck:
         The prediction errs by a h (h + h') / 2 at a constant acceleration a.
         """
         interval_s = (step.stamp_ns - self._stamp_ns) * 1e-9
-        error = _distance(step.predicted, step.tracked.world_from_cam)
+        error = _distance(step.predicted, step.pose)
         return 2.0 * error / (interval_s * (interval_s + (self._interval_s or interval_s)))
 
-    def _is_well_supported(self, tracked: TrackedFrame) -> bool:
-        ratio = tracked.inlier_ratio
+    def _is_well_supported(self, ratio: float) -> bool:
         return ratio >= _MANY and ratio >= _AS_MANY_AS_USUAL * median(list(self._ratios))
 
     def _is_confirming(self, step: Step) -> bool:
@@ -131,12 +133,12 @@ class StepCheck:
         if before is None or step.stamp_ns <= before.stamp_ns:
             return False
         fewest = _FEWER * median(list(self._ratios))
-        if min(before.inlier_ratio, step.tracked.inlier_ratio) < fewest:
+        if min(before.inlier_ratio, step.inlier_ratio) < fewest:
             return False
         last, interval_s = step.last[:3, 3], (step.stamp_ns - before.stamp_ns) * 1e-9
         old = (step.predicted[:3, 3] - last) / ((step.stamp_ns - self._stamp_ns) * 1e-9)
         new = (before.position - last) / ((before.stamp_ns - self._stamp_ns) * 1e-9)
-        moved = step.tracked.world_from_cam[:3, 3] - before.position
+        moved = step.pose[:3, 3] - before.position
         error = min(float(np.linalg.norm(moved - v * interval_s)) for v in (old, new))
         return error / interval_s**2 < _MAX_EXCESS * self._usual()
 

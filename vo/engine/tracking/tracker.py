@@ -200,7 +200,8 @@ class Tracker:
 
     def _step(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> Step:
         predicted = self._motion.predict(frame.stamp_ns)
-        return Step(frame.stamp_ns, self._motion.last, predicted, tracked)
+        pose, ratio = tracked.world_from_cam, tracked.inlier_ratio
+        return Step(frame.stamp_ns, self._motion.last, predicted, pose, ratio)
 
     def _confirmed(
         self,
