@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from rig_walks import CAMERA, FORWARD_PAIR_AND_SIDES, at
 
 from vo.base.geometry.transforms import inverse
@@ -21,14 +22,23 @@ def test_equal_pinhole_cameras_stay_as_they_are() -> None:
     assert np.allclose(views.body_from_views, FORWARD_PAIR_AND_SIDES.cam0_from_cams)
 
 
-def test_a_wide_lens_becomes_two_views_to_the_sides() -> None:
-    views = rig_views(Rig(FISHEYE, FISHEYE, inverse(at(180, 0, -0.1))))
+@pytest.mark.parametrize(
+    ("lens", "yaw_deg", "half_deg"),
+    # As wide as the lens shows, which is projected up to 90 degrees from its axis.
+    [(FISHEYE, 39.5, 40.5), (replace(FISHEYE, fx=100.0, fy=100.0), 44.5, 45.5)],
+)
+def test_a_wide_lens_becomes_two_views_to_the_sides(
+    lens: Camera, yaw_deg: float, half_deg: float
+) -> None:
+    views = rig_views(Rig(lens, lens, inverse(at(180, 0, -0.1))))
     assert [view.camera for view in views.views] == [0, 0, 1, 1]
     axes = views.rectified.cam0_from_rectified[:3, :3] @ views.body_from_views[:, :3, 2].T
-    assert np.allclose(np.rad2deg(np.arctan2(axes[0], axes[2])) % 360, [311, 49, 131, 229])
+    found = np.rad2deg(np.arctan2(axes[0], axes[2])) % 360
+    expected = np.array([-yaw_deg, yaw_deg, 180 - yaw_deg, 180 + yaw_deg]) % 360
+    assert np.allclose(found, expected, atol=0.6)
     assert np.allclose(views.body_from_views[0], np.eye(4))
     half_width = np.rad2deg(np.arctan(views.rectified.cx / views.rectified.fx))
-    assert 49.0 < half_width < 51.0
+    assert half_width == pytest.approx(half_deg, abs=0.6)
 
 
 def test_lenses_of_different_size_have_common_views() -> None:

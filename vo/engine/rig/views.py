@@ -20,7 +20,8 @@ from vo.base.geometry.transforms import inverse, make_transform, so3_exp
 from vo.base.types import Bytes, Camera, Floats, Ints, Rig
 
 _GROWTH_PX = 16  # around what masks hide, as in `vo.engine.frontend.static_masks`
-# Beyond this angle from its axis a lens is shown by two views, of at most the second angle.
+# Beyond this angle from its axis a lens is shown by two views, as wide as it needs, of at most the
+# second angle to each side.
 _WIDE_DEG, _HALF_VIEW_DEG = 62.0, 50.0
 _MAX_RAY_DEG, _STEP_DEG = 110, 2  # searched for the edge of an image
 _EVEN_DEG = 1.0  # margin between the two views of one lens
@@ -109,9 +110,10 @@ def _common_pinhole(
     for lens in lenses:
         across, along = (_half_angle(lens, axis) for axis in (0, 1))
         if across > np.deg2rad(_WIDE_DEG):
-            yaw = np.deg2rad(_HALF_VIEW_DEG - _EVEN_DEG)
+            half = min(np.deg2rad(_HALF_VIEW_DEG), 0.5 * (across + np.deg2rad(_EVEN_DEG)))
+            yaw = half - np.deg2rad(_EVEN_DEG)
             turns.append([so3_exp(np.array([0.0, side * yaw, 0.0])) for side in (-1.0, 1.0)])
-            across = np.deg2rad(_HALF_VIEW_DEG)
+            across = half
         else:
             turns.append([np.eye(3)])
         half_width = max(half_width, focal * np.tan(across))
