@@ -182,7 +182,7 @@ def _model_pose(
         raise ConfigError(f"a model {distance:g} in front of the camera cannot be seen; give `at`")
     if options.size is not None and not 0.0 < options.size < np.inf:
         raise ConfigError(f"`size` is {options.size:g}; give a length above 0")
-    segment, world_from_cam, _ = poses[frame]
+    _, segment, world_from_cam, _ = poses[frame]
     foot = world_from_cam[:3, :3] @ (0.0, _BELOW_RATIO * distance, distance) + world_from_cam[:3, 3]
     if options.at is not None:
         foot = np.array(options.at)
