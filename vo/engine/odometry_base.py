@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from vo.base.faults import Fault
 from vo.base.records.snapshot import Snapshot
 from vo.base.stopwatch import Stopwatch, timed
-from vo.base.types import Estimate, Floats, Frame, PredictedPose, State
+from vo.base.types import Estimate, Floats, Frame, PredictedPose, Rig, State
 from vo.engine.backend.optimizer import WindowOptimizer
 from vo.engine.frontend.lazy_future import LazyFuture
 from vo.engine.map_alignment import MapAlignment
@@ -125,6 +125,10 @@ class OdometryBase(ABC, Generic[FrameT]):
     def trajectory(self) -> TrajectoryStore:
         """The path so far."""
         return self._trajectory.store
+
+    def corrected(self, rig: Rig) -> Rig:
+        """A rig of more than two cameras where they were found to be."""
+        return rig
 
     def snapshot(self) -> Snapshot:
         """The newest frame and the local map for display, before the next frame is tracked."""

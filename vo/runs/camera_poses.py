@@ -1,4 +1,4 @@
-"""Poses of every camera of a rig, at the times of their images."""
+"""Poses of every camera of a rig, at the times of their images, and its calibration."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from vo.base.geometry.transforms import interpolate
+from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.posed_frames import PosedFrames
-from vo.base.types import Floats, Ints
-from vo.engine.trajectory.store import TrajectoryStore
-from vo.outputs.results.folder import CAMERAS, write_atomically
+from vo.base.types import Floats, Ints, Rig
+from vo.engine.rig.creation import AnyOdometry
+from vo.outputs.results.folder import CAMERA, CAMERAS, write_atomically
+from vo.recordings.formats.calibration import ImuCalibration, write_calibration
 from vo.recordings.formats.trajectory import pose_fields
 from vo.recordings.sources.source import FrameStream, Recording
 
@@ -20,23 +22,42 @@ HEADING = "frame,stamp_ns,camera,tx,ty,tz,qx,qy,qz,qw"
 _Stamps = Sequence[tuple[int, ...]] | None
 
 
-def write_camera_poses(folder: Path, store: TrajectoryStore, stream: FrameStream) -> None:
+def write_camera_poses(folder: Path, odometry: AnyOdometry, stream: FrameStream) -> None:
     """Write `cameras.csv` for a rig of more than two cameras, and the body where it is known.
 
-    The body is the inertial sensor.
+    The body is the inertial sensor. Cameras that are corrected are where they were found to be.
 
     Raises:
         OutputError: the file cannot be written.
     """
     if not stream.rig.further:
         return
-    mounted = {f"cam{number}": pose for number, pose in enumerate(stream.rig.cam0_from_cams)}
+    poses = odometry.corrected(stream.rig).cam0_from_cams
+    mounted = {f"cam{number}": pose for number, pose in enumerate(poses)}
     imu = stream.imus[0] if isinstance(stream, Recording) and stream.imus else None
     if imu is not None and imu.cam0_from_imu is not None:
         mounted["body"] = imu.cam0_from_imu
     stamps: _Stamps = getattr(stream, "image_stamps_ns", None)
-    lines = camera_pose_lines(store.path(0), mounted, stamps)
+    lines = camera_pose_lines(odometry.trajectory.path(0), mounted, stamps)
     write_atomically(folder / CAMERAS, "".join(f"{line}\n" for line in (HEADING, *lines)))
+
+
+def save_calibration(
+    folder: Path,
+    stream: FrameStream,
+    rig: Rig,
+    estimated: EstimatedCamera | None,
+    file: Path | None,
+) -> None:
+    """Write a rig to a file if one was asked for, or an estimated camera into the output."""
+    if estimated is None and file is None:
+        return
+    comments = [] if estimated is None else [f"estimated from the images: {estimated.in_words}"]
+    sensor = next(iter(stream.imus), None) if isinstance(stream, Recording) else None
+    imu = None
+    if sensor is not None and sensor.cam0_from_imu is not None:
+        imu = ImuCalibration(sensor.cam0_from_imu, sensor.noise, sensor.time_offset_s)
+    write_calibration(file or folder / CAMERA, rig, comments, imu)
 
 
 def camera_pose_lines(

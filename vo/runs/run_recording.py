@@ -28,7 +28,7 @@ from vo.engine.stages import Components
 from vo.engine.trajectory.interpolation import InterpolatedFrames
 from vo.outputs.recorders.exports import Exports, with_exports
 from vo.outputs.recorders.recorder import NullRecorder, Recorder
-from vo.outputs.results.folder import CAMERA, RESULTS, RunFolder, RunSpace
+from vo.outputs.results.folder import RESULTS, RunFolder, RunSpace
 from vo.outputs.results.output_paths import (
     locked_folder,
     refuse_to_collide,
@@ -36,12 +36,12 @@ from vo.outputs.results.output_paths import (
 )
 from vo.outputs.results.summary import Summary
 from vo.outputs.streaming.streams import PoseStreams, opened_streams
-from vo.recordings.formats.calibration import ImuCalibration, write_calibration
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
+from vo.runs.camera_poses import save_calibration
 from vo.runs.inertial_checks import Unusable, why_unusable
 from vo.runs.readout import checked_readout
 from vo.runs.run_options import RunOptions
@@ -180,21 +180,13 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
             recorder.begin(name, stream.rig, stream.ground_truth)
             # Last: it clears an earlier run.
             folder = RunFolder(Path(output), dump_config(config), space)
-            _save_calibration(opened, folder)
-            return RunSession(opened, odometry, folder, recorder, poses).run(frames)
-
-
-def _save_calibration(opened: OpenedRun, folder: RunFolder) -> None:
-    """Write the calibration where it was asked for, or an estimated one into the output."""
-    stream, camera, file = opened.stream, opened.estimated_camera, opened.options.save_calibration
-    if camera is None and file is None:
-        return
-    comments = [] if camera is None else [f"estimated from the images: {camera.in_words}"]
-    sensor = next(iter(stream.imus), None) if isinstance(stream, Recording) else None
-    imu = None
-    if sensor is not None and sensor.cam0_from_imu is not None:
-        imu = ImuCalibration(sensor.cam0_from_imu, sensor.noise, sensor.time_offset_s)
-    write_calibration(file or folder.path / CAMERA, stream.rig, comments, imu)
+            camera, file = opened.estimated_camera, options.save_calibration
+            save_calibration(folder.path, stream, stream.rig, camera, file)
+            summary = RunSession(opened, odometry, folder, recorder, poses).run(frames)
+            if odometry.calibration_errors.cameras:
+                corrected = odometry.corrected(stream.rig)
+                save_calibration(folder.path, stream, corrected, camera, file)
+            return summary
 
 
 def _with_loops(config: Config, options: RunOptions, is_live: bool) -> Config:

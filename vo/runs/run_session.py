@@ -261,7 +261,7 @@ class RunSession:
         try:
             if not self._folder.is_finished:
                 self._write_changed()
-                write_camera_poses(self._folder.path, self._odometry.trajectory, self._stream)
+                write_camera_poses(self._folder.path, self._odometry, self._stream)
                 if self._odometry.map_alignment.closed_loops:
                     self._folder.write_odometry(self._before_loops(in_metres=True))
         finally:

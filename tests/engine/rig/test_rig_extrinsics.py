@@ -10,7 +10,7 @@ import pytest
 from rig_walks import Walk, ate
 
 from vo.base.config import load_config
-from vo.base.geometry.transforms import inverse, make_transform, so3_exp
+from vo.base.geometry.transforms import inverse, make_transform, rotation_angle, so3_exp
 from vo.base.records.calibration_errors import CameraPoseError
 from vo.base.types import Rig, Trajectory
 from vo.engine.rig.odometry import RigOdometry
@@ -27,25 +27,30 @@ def wrong(rig: Rig, camera: int) -> Rig:
     return replace(rig, cam1_from_cam0=inverse(poses[1]), further=further)
 
 
-def run(rig: Rig, walk: Walk) -> tuple[Trajectory, tuple[CameraPoseError, ...]]:
+def run(rig: Rig, walk: Walk) -> tuple[Trajectory, tuple[CameraPoseError, ...], Rig]:
     with closing(RigOdometry(rig, load_config(overrides=["threads=1"]))) as odometry:
         for frame in walk.frames:
             odometry.track(frame)
         odometry.finish()
-        return odometry.trajectory.trajectory(), odometry.calibration_errors.cameras
+        errors = odometry.calibration_errors.cameras
+        return odometry.trajectory.trajectory(), errors, odometry.corrected(rig)
 
 
 @pytest.mark.parametrize("camera", [1, 3])
 def test_a_turned_camera_is_found_and_corrected(walk: Walk, camera: int) -> None:
-    path, (error,) = run(wrong(walk.rig, camera), walk)
+    path, (error,), corrected = run(wrong(walk.rig, camera), walk)
     assert error.camera == camera
     assert abs(error.angle_deg - 1.0) < 0.1
     assert 0.005 < error.distance_m < 0.013
     assert f"by {error.angle_deg:.2f}° and" in error.in_words
     assert len(path) == len(walk.frames)
+    off = inverse(walk.rig.cam0_from_cams[camera]) @ corrected.cam0_from_cams[camera]
+    assert np.rad2deg(rotation_angle(off[:3, :3])) < 0.1  # it was 1
+    assert np.linalg.norm(off[:3, 3]) < 0.006  # it was 0.01
     # Without the correction 0.016 and 0.0047 m.
     assert ate(path, walk.truth) < {1: 0.007, 3: 0.0035}[camera]
 
 
 def test_a_right_calibration_stays(walk: Walk) -> None:
-    assert run(walk.rig, walk)[1] == ()
+    _, errors, corrected = run(walk.rig, walk)
+    assert errors == () and corrected is walk.rig

@@ -49,6 +49,11 @@ class RigExtrinsics:
             found.append(CameraPoseError(camera, round(float(angle), 3), round(float(length), 4)))
         return tuple(found)
 
+    def moved_cameras(self, cam0_from_body: Floats) -> Floats:
+        """(C, 4, 4) by which corrections have moved the cameras, in the frame of camera 0."""
+        given, now = self._given[self._first], self.body_from_views[self._first]
+        return np.asarray(cam0_from_body @ now @ inverse(cam0_from_body @ given))
+
     def next_weight(self) -> int:
         """Whether the next window is asked, as its calibration weight."""
         self._asked += 1

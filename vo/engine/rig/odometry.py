@@ -120,6 +120,17 @@ class RigOdometry(OdometryBase[RigFrame]):
         """Errors of the calibration that were found and are corrected."""
         return CalibrationErrors(0.0, 0.0, None, None, self._extrinsics.errors)
 
+    def corrected(self, rig: Rig) -> Rig:
+        """See `OdometryBase.corrected`."""
+        if not self._extrinsics.errors:
+            return rig
+        moved = self._extrinsics.moved_cameras(self._views.rectified.cam0_from_rectified)
+        _, *others = (by @ pose for by, pose in zip(moved, rig.cam0_from_cams, strict=True))
+        further = (
+            m._replace(cam0_from_cam=p) for m, p in zip(rig.further, others[1:], strict=True)
+        )
+        return replace(rig, cam1_from_cam0=inverse(others[0]), further=tuple(further))
+
     def snapshot(self) -> Snapshot:
         """The newest frame in view 0, and the local map, before the next frame is tracked."""
         shown = super().snapshot()
