@@ -22,7 +22,8 @@ from sensor_faults import Change, added, changed, in_vehicle, restamped, scaled,
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Floats
 from vo.engine.geometry import so3
-from vo.engine.inertial.chain import InertialChain, Node
+from vo.engine.inertial.chain import InertialChain
+from vo.engine.inertial.keyframe_states import Node
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.time_offset import TimeOffset, different_clocks
 

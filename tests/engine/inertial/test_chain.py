@@ -20,8 +20,9 @@ from inertial_flight import (
 
 from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Floats
-from vo.engine.inertial.chain import InertialChain, KeyframeStates, Node, certain
+from vo.engine.inertial.chain import InertialChain
 from vo.engine.inertial.initialisation import NotYet
+from vo.engine.inertial.keyframe_states import KeyframeStates, Node, certain
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS as ACCEL_COLUMNS
 from vo.engine.inertial.states import GYRO_BIAS as GYRO_COLUMNS
@@ -138,12 +139,12 @@ def test_segments_are_joined_across_a_short_gap() -> None:
 
 
 def _begun_late(first: Floats) -> KeyframeStates:
-    """A run whose first segment is too short for states; its poses (5, 4, 4) are given."""
-    truth = world_from_cam(keyframe_stamps(40))
-    poses = np.concatenate([first, visual_poses(truth[5:], 2.0)])
+    """A run whose first segment has no states; its poses (n, 4, 4) are given."""
+    count, truth = len(first), world_from_cam(keyframe_stamps(40))
+    poses = np.concatenate([first, visual_poses(truth[count:], 2.0)])
     chain = _chain(sensor(noise=1.0, seconds=22.0))
-    for node in _nodes(40, poses, [0] * 5 + [1] * 35):
-        if node.keyframe != 5:  # lost
+    for node in _nodes(40, poses, [0] * count + [1] * (40 - count)):
+        if node.keyframe != count:  # lost
             chain.set(node)
             chain.update()
     solved = chain.finish()
@@ -162,12 +163,36 @@ def test_a_segment_from_before_the_first_states_is_joined_at_the_end() -> None:
     assert _error_m(solved, 40) < 0.05
 
 
-def test_a_segment_that_does_not_fit_to_the_samples_stays_apart() -> None:
-    truth = world_from_cam(keyframe_stamps(40))
-    wrong = visual_poses(truth[:5], _SCALE)
-    wrong[2:, :3, :3] = wrong[2:, :3, :3] @ se3_exp(np.array([0, 0.2, 0, 0, 0, 0.0]))[:3, :3]
-    solved = _begun_late(wrong)
-    assert len(solved.nodes) == 34 and (solved.world, solved.origin) == (1, 6)
+def _wrong_from_the_third(count: int) -> Floats:
+    """Poses of a segment whose third to last ones are turned by 0.2 rad."""
+    poses = visual_poses(world_from_cam(keyframe_stamps(40))[:count], _SCALE)
+    poses[2:, :3, :3] = poses[2:, :3, :3] @ se3_exp(np.array([0, 0.2, 0, 0, 0, 0.0]))[:3, :3]
+    return poses
+
+
+def test_a_short_segment_that_contradicts_the_samples_is_placed_by_these() -> None:
+    solved = _begun_late(_wrong_from_the_third(5))
+    assert (len(solved.nodes), solved.world, solved.origin, solved.doubted) == (39, 0, 0, 5)
+    assert set(certain(solved)) >= set(range(39))
+    truth = world_from_cam(keyframe_stamps(40))[[node.keyframe for node in solved.nodes]]
+    found = inverse(_cameras(solved)[0]) @ _cameras(solved)[5]
+    expected = inverse(truth[0]) @ truth[5]
+    sigma = np.sqrt(np.trace(solved.estimate.covariance[5, 3:6, 3:6]))
+    assert np.linalg.norm(found[:3, 3] - expected[:3, 3]) < 3.0 * sigma < 0.3
+    assert np.abs(found[:3, :3] - expected[:3, :3]).max() < 0.005  # images: 0.2
+
+
+def _cameras(solved: KeyframeStates) -> Floats:
+    """(n, 4, 4) poses of the camera."""
+    poses = np.tile(np.eye(4), (len(solved.nodes), 1, 1))
+    poses[:, :3, :3] = solved.estimate.states.rotation
+    poses[:, :3, 3] = solved.estimate.states.position
+    return np.asarray(poses @ IMU_FROM_CAM)
+
+
+def test_a_longer_segment_that_contradicts_the_samples_stays_apart() -> None:
+    solved = _begun_late(_wrong_from_the_third(12))
+    assert len(solved.nodes) == 27 and (solved.world, solved.origin) == (1, 13)
 
 
 def test_a_long_gap_begins_a_new_world() -> None:

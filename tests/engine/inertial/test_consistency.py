@@ -26,7 +26,8 @@ from inertial_flight import (
 
 from vo.base.geometry.transforms import inverse, se3_exp, se3_log
 from vo.base.types import Floats, ImuNoise, Ints
-from vo.engine.inertial.chain import InertialChain, Node
+from vo.engine.inertial.chain import InertialChain
+from vo.engine.inertial.keyframe_states import Node
 from vo.engine.inertial.prediction import (
     InertialPredictor,
     known_motion,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,11 +21,11 @@ from vo.engine.inertial.estimation import (
     weighed_states,
 )
 from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate
+from vo.engine.inertial.keyframe_states import KeyframeStates, Node, certain, covariances
 from vo.engine.inertial.preintegration import Interval, Preintegrated, preintegrate
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import (
     GRAVITY,
-    LOG_SCALE,
     States,
     Steps,
     joined,
@@ -40,31 +40,7 @@ _RETRY_NS = 1_000_000_000  # after the motion did not determine the first states
 _RARELY_TRIED = (NotYet.NO_MOTION, NotYet.NO_GRAVITY, NotYet.WRONG_GRAVITY, NotYet.OPPOSITE)
 _MAX_BRIDGE_S = 5.0  # between segments without images
 _MAX_BIAS_RAD_S = 0.003  # from which preintegration is repeated
-_MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
-
-
-@dataclass(frozen=True, eq=False)
-class Node:
-    """A keyframe."""
-
-    keyframe: int
-    frame_index: int
-    stamp_ns: int
-    segment: int
-    world_from_cam: Floats  # (4, 4) in the frame and the units of the segment
-    # (6, 6) of the motion from the keyframe before it, as in `Steps`; None to keep that of an
-    # earlier call, or for the first one of a segment
-    covariance: Floats | None
-
-
-@dataclass(frozen=True, eq=False)
-class KeyframeStates:
-    """Keyframes with their states."""
-
-    nodes: tuple[Node, ...]
-    estimate: Estimate
-    world: int  # number of its first segment
-    origin: int  # id of its first keyframe; another one is another frame
+_DOUBT = 32.0  # on standard deviations of motions by images that the samples contradict
 
 
 class InertialChain:
@@ -92,6 +68,7 @@ class InertialChain:
         self._tried_ns: int | None = None  # time of the newest node when states were searched
         self._origin = 0  # row of the first node of the world
         self._begin = 0  # row of the first node of the estimate
+        self._doubted = 0  # first nodes of the world whose images the samples contradict
         self._estimate: Estimate | None = None
         self._prior: Prior | None = None  # of the first node of the estimate
         self._biases: KnownBiases | None = None  # at the end of the world before
@@ -179,20 +156,27 @@ class InertialChain:
         return solved
 
     def _reached_back(self, solved: KeyframeStates) -> KeyframeStates:
-        """The world with segments from before its first states, if they fit to it."""
+        """The world with segments from before its first states, if they fit to it.
+
+        Where images contradict the samples there, a few seconds are placed by the samples.
+        """
         kept, begin = (self._origin, self.agreement), self._origin
         while begin > 0 and not self.finished and self._is_bridged(begin):
             begin -= 1
         if self.agreement.contradiction or self._nodes[begin].segment == solved.world:
             return solved
-        self._origin = begin
-        longer, added = self._judged(is_last=False), kept[0] - begin
-        is_certain = longer is not None and certain(longer)[:added] == list(range(added))
-        if longer is None or not is_certain or self.agreement.contradiction:
-            self._origin, self.agreement = kept
-            return solved
-        self._begin, self._estimate = begin, longer.estimate
-        return longer
+        before_s = 1e-9 * (self._nodes[kept[0]].stamp_ns - self._nodes[begin].stamp_ns)
+        for self._doubted in (0, kept[0] - begin) if before_s < _MAX_BRIDGE_S else (0,):
+            self._origin, self.agreement = begin, kept[1]
+            longer, added = self._judged(is_last=False), kept[0] - begin
+            is_certain = longer is not None and certain(longer)[:added] == list(range(added))
+            if not self.agreement.contradiction:
+                if longer is None or not is_certain:
+                    break
+                self._begin, self._estimate = begin, longer.estimate
+                return longer
+        self._doubted, (self._origin, self.agreement) = 0, kept
+        return solved
 
     def _is_bridged(self, row: int) -> bool:
         """Whether samples lead from the keyframe before, and images unless it is near."""
@@ -239,7 +223,7 @@ class InertialChain:
         self._tried_ns = nodes[-1].stamp_ns
         keyframes = Keyframes(
             np.stack([n.world_from_cam for n in nodes]),
-            _covariances(nodes[1:]),
+            covariances(nodes[1:]),
             tuple(intervals),
             self._is_metric,
             self._imu_from_cam,
@@ -372,11 +356,13 @@ class InertialChain:
         """Measurements between the keyframes of some rows."""
         nodes = self._nodes[begin:end]
         poses = np.stack([n.world_from_cam for n in nodes])
+        covariance = covariances(nodes[1:])
+        covariance[: self._doubted] *= _DOUBT**2
         return Steps(
             1e-9 * np.diff([n.stamp_ns for n in nodes]),
             tuple(self._measured[begin + 1 : end]),
             inverse(poses[:-1]) @ poses[1:],
-            _covariances(nodes[1:]),
+            covariance,
             np.array([self._is_visual(row) for row in range(begin + 1, end)], dtype=bool),
             self._is_metric,
             self._imu_from_cam,
@@ -385,16 +371,5 @@ class InertialChain:
     def _solved(self, begin: int, estimate: Estimate) -> KeyframeStates:
         nodes = tuple(self._nodes[begin : begin + estimate.states.number])
         origin = self._nodes[self._origin]
-        return KeyframeStates(nodes, estimate, origin.segment, origin.keyframe)
-
-
-def _covariances(nodes: list[Node]) -> Floats:
-    """(n, 6, 6); 0 where there is none."""
-    none = np.zeros((6, 6))
-    return np.stack([none if n.covariance is None else n.covariance for n in nodes])
-
-
-def certain(solved: KeyframeStates) -> list[int]:
-    """Rows of the keyframes whose scale is certain enough."""
-    variance = solved.estimate.covariance[:, LOG_SCALE, LOG_SCALE]
-    return np.flatnonzero(np.sqrt(variance.clip(0.0)) < _MAX_SIGMA_LOG_SCALE).tolist()
+        place = origin.segment, origin.keyframe
+        return KeyframeStates(nodes, estimate, *place, self._doubted)

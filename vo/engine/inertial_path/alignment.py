@@ -18,8 +18,9 @@ from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats, Ints
 from vo.engine.inertial.agreement import Agreement
-from vo.engine.inertial.chain import InertialChain, KeyframeStates, Node, certain
+from vo.engine.inertial.chain import InertialChain
 from vo.engine.inertial.initialisation import WRONG, tilt_sigma
+from vo.engine.inertial.keyframe_states import KeyframeStates, Node, certain
 from vo.engine.inertial.prediction import (
     InertialPredictor,
     KnownMotion,

@@ -11,7 +11,7 @@ import numpy as np
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.types import Floats, ImuNoise, Ints, KeyframePose
 from vo.engine.inertial.bridging import EndState, bridge, moved_to
-from vo.engine.inertial.chain import KeyframeStates
+from vo.engine.inertial.keyframe_states import KeyframeStates
 from vo.engine.inertial.samples import SampleReader
 from vo.engine.inertial.states import ACCEL_BIAS, POSITION, VELOCITY
 from vo.engine.trajectory.builder import TrajectoryBuilder
