@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,9 @@ from typer.testing import CliRunner
 
 from data_synth.recipe import load_recipe
 from data_synth.sequence import make_sequence
+from vo.base.types import Rig
 from vo.cli.app import app
-from vo.recordings.formats.calibration import read_calibration
+from vo.recordings.formats.calibration import read_calibration, write_calibration
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +67,30 @@ def test_the_camera_of_images_without_calibration_is_estimated(
     assert not (tmp_path / "again" / "estimated_calibration.yaml").exists()
     same = [(tmp_path / each / "trajectory.tum").read_bytes() for each in ("out", "again")]
     assert same[0] == same[1]
+
+
+def test_a_wrong_focal_length_is_found_and_replaced(
+    images: tuple[Path, Path], tmp_path: Path
+) -> None:
+    folder, whole = images
+    camera = read_calibration(whole / "calibration.yaml").rig.cam0
+    file = tmp_path / "wrong.yaml"
+    wrong = replace(camera, fx=1.06 * camera.fx, fy=1.06 * camera.fy)
+    write_calibration(file, Rig(wrong))
+    status, _, summary = run_on(folder, tmp_path / "out", "--calibration", str(file))
+    assert status == 0
+    said = f"the calibration is wrong: its focal length is {wrong.fx:.1f} px"
+    assert said in str(summary["warnings"])
+    found = summary["estimated_camera"]
+    assert isinstance(found, dict)
+    assert found["focal_px"] == pytest.approx(camera.fx, rel=0.01)
+    assert summary["trusted"] is True
+    used = read_calibration(tmp_path / "out" / "estimated_calibration.yaml").rig.cam0
+    assert used.fx == pytest.approx(camera.fx, rel=0.01)
+    write_calibration(file, Rig(camera))
+    _, _, summary = run_on(folder, tmp_path / "right", "--calibration", str(file))
+    assert "the calibration is wrong" not in str(summary["warnings"])
+    assert summary["estimated_camera"] is None
 
 
 def test_a_camera_that_only_turns_shows_no_focal_length(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ and adjustment follow each other over more frames until the lens stays as it is.
 
 from __future__ import annotations
 
+import copy
 import logging
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -19,7 +20,7 @@ import numpy as np
 from vo.base.config import Config
 from vo.base.errors import CalibrationError, NoCalibration
 from vo.base.records.estimated_camera import EstimatedCamera
-from vo.base.types import Camera, Estimate, Floats, Frame, Rig
+from vo.base.types import Camera, Estimate, Floats, Frame, Landmarks, Rig
 from vo.engine.backend.lens_adjustment import (
     FROM_A_GUESS,
     IDEAL,
@@ -35,7 +36,12 @@ from vo.recordings.sources.camera_hint import NO_HINT, CameraHint, camera_hint
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
 from vo.recordings.sources.uncalibrated import open_uncalibrated
-from vo.runs.keyframe_tracking import track_keyframes, with_more_keyframes, without_extras
+from vo.runs.keyframe_tracking import (
+    TrackedKeyframes,
+    track_keyframes,
+    with_more_keyframes,
+    without_extras,
+)
 from vo.runs.readout_estimation import (
     Readout,
     ReadoutFit,
@@ -58,6 +64,10 @@ _IDEAL_K1 = 0.008  # below it a lens, as of rectified images, is not told from a
 _PASSES, _CONVERGED = 4, 0.004  # change of the focal length
 # Standard deviation of the focal length: of twelve recordings, and by parts of this one.
 _PARTS, _SYSTEMATIC, _PER_PART = 3, 0.008, 0.6
+# A given focal length is wrong by so much, and so many standard deviations. Thirds of KITTI, whose
+# lenses are wrong in another way, differ by 4 % from each other; of a focal length that is wrong
+# by 5 %, by 1.5.
+_MIN_WRONG, _SIGNIFICANT = 0.015, 3.0
 
 
 class _Tracked(NamedTuple):
@@ -122,8 +132,8 @@ def estimate_camera(
     """
     search = _Search(stream, config, options, hint)
     best = search.best_guess()
-    told = Lens(round(hint.focal_px, 6), *search.middle)
     if best is None and hint.is_known:
+        told = search.told
         found = EstimatedCamera(told.focal, round(hint.sigma_px, 3), *told[1:], 0, hint.told_by)
         return search.camera(told), found, []
     if best is None:
@@ -132,10 +142,59 @@ def estimate_camera(
             f"leads to a path in the first {_FIRST_FRAMES} frames (an estimate needs a camera that "
             "moves, not only turns, and texture)"
         )
-    adjusted, tracked = search.converged(best.lens)
+    return _estimated(search, best.lens)
+
+
+def corrected_camera(
+    stream: Recording,
+    config: Config,
+    options: RunOptions,
+    seen: Sequence[tuple[Estimate, Landmarks]],
+) -> tuple[Camera, EstimatedCamera] | None:
+    """The camera of a calibration that the images contradict, None where they do not.
+
+    First each third of the keyframes has to find the same other focal length; then the camera is
+    estimated as one without calibration is.
+    """
+    camera, tracked = stream.rig.cam0, TrackedKeyframes([], {}, {}, {})
+    for each in seen:
+        tracked.add(*each)
+    rows = max(tracked.segments, key=len, default=[])
+    if len(rows) < _PARTS * _MIN_KEYFRAMES or camera.distortion_model not in ("none", "radtan"):
+        return None
+    search = _Search(stream, config, options, CameraHint(readout_s=camera.readout_s))
+    k1, k2 = camera.distortion[:2] if camera.distortion else (0.0, 0.0)
+    given = Lens(float(np.sqrt(camera.fx * camera.fy)), camera.cx, camera.cy, k1, k2)
+    views = tracked.views(rows, np.array(search.middle))
+    changes = []
+    for part in search.parts(AdjustedLens(given, views)):
+        changes.append(float(np.log(part.lens.focal / given.focal)))
+        if abs(changes[-1]) < _MIN_WRONG:  # most often the first one
+            return None
+    sigma = float(np.std(changes, ddof=1)) / np.sqrt(_PARTS)
+    if len(changes) < _PARTS or not _is_wrong(np.array(changes), sigma):
+        return None
+    try:
+        lens, estimated, _ = _estimated(search, given)
+    except CalibrationError:
+        return None
+    change = np.log([estimated.focal_px / given.focal])
+    return (lens, estimated) if _is_wrong(change, estimated.sigma_px / estimated.focal_px) else None
+
+
+def _is_wrong(change: Floats, sigma: float) -> bool:
+    """Whether logarithms of a focal length say that it is another one."""
+    least = max(_MIN_WRONG, _SIGNIFICANT * sigma)
+    return bool(abs(change.mean()) > least and (np.sign(change) == np.sign(change[0])).all())
+
+
+def _estimated(search: _Search, guess: Lens) -> tuple[Camera, EstimatedCamera, list[Estimate]]:
+    """The camera from a guess, with its standard deviation, and a path by it."""
+    hint = search.hint
+    adjusted, tracked = search.converged(guess)
     readout = search.readout(adjusted.lens, tracked) if hint.readout_s == 0.0 else Readout()
     if readout.seconds:
-        search = _Search(stream, config, options, hint._replace(readout_s=readout.seconds))
+        search = search.with_readout(readout.seconds)
         adjusted, tracked = search.converged(adjusted.lens)
     path = tracked.path
     deviation = [p.lens.focal / adjusted.lens.focal - 1.0 for p in search.parts(adjusted)]
@@ -143,7 +202,7 @@ def estimate_camera(
     lens = Lens(*(round(float(value), 6) + 0.0 for value in adjusted.lens))
     sigma = lens.focal * float(np.linalg.norm([_SYSTEMATIC, spread, adjusted.relative_sigma]))
     if hint.sigma_px < sigma:  # the motion says less than the camera
-        lens, sigma = told, hint.sigma_px
+        lens, sigma = search.told, hint.sigma_px
     found = EstimatedCamera(
         lens.focal,
         round(sigma, 3),
@@ -168,22 +227,33 @@ class _Search:
     def __init__(
         self, stream: Recording, config: Config, options: RunOptions, hint: CameraHint
     ) -> None:
-        self._stream, self._options, self._hint = stream, options, hint
+        self._stream, self._options, self.hint = stream, options, hint
         self._size = stream.rig.cam0.width, stream.rig.cam0.height
         self.middle = (self._size[0] - 1.0) / 2.0, (self._size[1] - 1.0) / 2.0
         self._config = without_extras(config)
 
+    def with_readout(self, seconds: float) -> _Search:
+        """The same for a rolling shutter."""
+        found = copy.copy(self)
+        found.hint = self.hint._replace(readout_s=seconds)
+        return found
+
+    @property
+    def told(self) -> Lens:
+        """The lens as the camera says."""
+        return Lens(round(self.hint.focal_px, 6), *self.middle)
+
     def camera(self, lens: Lens) -> Camera:
         """The camera with a lens, in OpenCV's model."""
         focal, cx, cy, k1, k2 = lens
-        found = Camera(*self._size, focal, focal, cx, cy, readout_s=self._hint.readout_s)
+        found = Camera(*self._size, focal, focal, cx, cy, readout_s=self.hint.readout_s)
         if k1 == k2 == 0.0:
             return found
         return replace(found, distortion_model="radtan", distortion=(k1, k2, 0.0, 0.0))
 
     def best_guess(self) -> AdjustedLens | None:
         """The adjusted guess with the smallest residuals, of those that track most frames."""
-        told = self._best_of([self._hint.focal_px]) if self._hint.is_known else None
+        told = self._best_of([self.hint.focal_px]) if self.hint.is_known else None
         half = [float(np.tan(np.radians(field / 2.0))) for field in _FIELDS_DEG]
         return told or self._best_of([0.5 * self._size[0] / each for each in half])
 
@@ -278,8 +348,8 @@ class _Search:
             return None
         rows = segments[0][:_MAX_KEYFRAMES]
         views, velocity = tracked.views(rows, np.array(self.middle)), velocities(tracked.path, rows)
-        if self._hint.readout_s:
-            views = at_middle_row(views, lens, velocity, self._hint.readout_s, views.xy)
+        if self.hint.readout_s:
+            views = at_middle_row(views, lens, velocity, self.hint.readout_s, views.xy)
         return _Tracked(tracked.path, views, velocity)
 
     def _frames(self, count: int) -> Iterator[Frame]:

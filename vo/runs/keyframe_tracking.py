@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.types import Estimate, Floats, Frame, KeyframePose, Rig, Sightings
+from vo.base.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, Sightings
 from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.engine.odometry import Odometry
 
@@ -24,6 +24,15 @@ class TrackedKeyframes(NamedTuple):
     poses: dict[int, KeyframePose]
     sightings: dict[int, Sightings]
     points: dict[int, Floats]
+
+    def add(self, estimate: Estimate, landmarks: Landmarks | None) -> None:
+        """The keyframes that a frame has added or moved, with the map after it."""
+        if estimate.world_from_cam0 is not None:
+            self.path.append(estimate)
+        self.poses.update({each.frame_index: each for each in estimate.keyframes})
+        if landmarks is not None:
+            self.sightings.update({each.frame_index: each for each in landmarks.sightings})
+            self.points.update(zip(landmarks.ids.tolist(), landmarks.xyz, strict=True))
 
     @property
     def segments(self) -> list[list[int]]:
@@ -58,13 +67,8 @@ def track_keyframes(rig: Rig, config: Config, frames: Iterable[Frame]) -> Tracke
     found = TrackedKeyframes([], {}, {}, {})
     with closing(Odometry(rig, config)) as odometry:
         for estimate in odometry.track_all(iter(frames)):
-            if estimate.world_from_cam0 is not None:
-                found.path.append(estimate)
-            found.poses.update({each.frame_index: each for each in estimate.keyframes})
             landmarks = odometry.snapshot().landmarks if estimate.keyframes else None
-            if landmarks is not None:
-                found.sightings.update({each.frame_index: each for each in landmarks.sightings})
-                found.points.update(zip(landmarks.ids.tolist(), landmarks.xyz, strict=True))
+            found.add(estimate, landmarks)
     return found
 
 

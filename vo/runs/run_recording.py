@@ -50,9 +50,8 @@ from vo.runs.scaling.scale_sources import make_scale_sources
 from vo.runs.second_pass import (
     FocalLengthChange,
     InertialContradiction,
-    LeftCameraUseless,
-    LensesFound,
     TrackAgain,
+    WrongCalibration,
     exchanged,
     known_at_first,
 )
@@ -137,18 +136,16 @@ def _again(
     reason: TrackAgain, before: OpenedRun, opened: OpenedRun, components: Components
 ) -> tuple[OpenedRun, Components]:
     """The recording opened anew, and the components, for another pass."""
-    unused, known = before.unused_imu, before.known
+    unused, known = before.unused_imu, reason.known_after(before.known)
+    camera, warnings = before.estimated_camera, before.warnings
+    components = components._replace(k1_error=known.k1_error)
     if isinstance(reason, InertialContradiction):
         unused = replace(reason.use, states=None, first_frame=None, metric_worlds=())
         components = components._replace(inertial_sensor=None)
-    if isinstance(reason, LensesFound):
-        known = known._replace(k1_error=reason.k1)
-        components = components._replace(k1_error=reason.k1)
-    if isinstance(reason, LeftCameraUseless):
-        known = known._replace(is_exchanged=True)
-    camera = before.estimated_camera
+    if isinstance(reason, WrongCalibration):
+        camera, warnings = reason.found, (*warnings, reason.warning)
     opened = replace(opened, unused_imu=unused, known=known, estimated_camera=camera)
-    return replace(opened, warnings=before.warnings), components
+    return replace(opened, warnings=warnings), components
 
 
 def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStreams) -> Summary:

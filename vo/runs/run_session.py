@@ -186,7 +186,7 @@ class RunSession:
         """The results of all frames; those of a live stream at once, without reading ahead."""
         stream = self._stream
         if not isinstance(stream, LiveStream):
-            yield from watched(self._odometry, frames, stream, self._opened.known)
+            yield from watched(self._odometry, frames, self._opened)
             return
         interrupts.end_gently(stream.stop)
         for frame in frames:
