@@ -13,12 +13,12 @@ from vo.base.types import Trajectory
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
-from vo.engine.markers.marker_problem import MarkerView
 from vo.engine.places.records import Loop
 from vo.engine.trajectory.store import TrajectoryStore
 
-if TYPE_CHECKING:  # many runs need neither
+if TYPE_CHECKING:  # many runs need none of them
     from vo.engine.inertial_path.alignment import InertialAlignment
+    from vo.engine.markers.marker_problem import MarkerView
     from vo.engine.memory.final_adjustment import FinalAdjustment
     from vo.engine.memory.memory import Memory
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 from vo.base.failures import Failure, FailureReason, ImageDefect
 from vo.base.types import Floats, State
 from vo.engine.frontend.preprocessing import PreprocessedFrame
-from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.map_alignment import MapAlignment
 from vo.engine.map_creator import MapCreator
 from vo.engine.map_updater import MapUpdater
@@ -17,6 +16,9 @@ from vo.engine.mapping.tracked_frame import TrackedFrame
 from vo.engine.tracking.frozen_camera import FrozenCamera
 from vo.engine.tracking.rescue import Rescue
 from vo.engine.tracking.tracker import Tracker
+
+if TYPE_CHECKING:
+    from vo.engine.inertial.prediction import InertialPredictor
 
 _MAX_MISSING_RATIO = 0.5  # of the rows of an image
 _MAX_PREDICTED_S = 1.5  # lost frames that an inertial sensor predicts

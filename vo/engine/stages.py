@@ -15,7 +15,6 @@ from vo.base.noise_classes import NOISE_CLASSES
 from vo.base.scheduling import available_cores
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import ImuNoise, Rig
-from vo.engine.backend.gap_factors import GapFactors
 from vo.engine.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.engine.backend.sliding_window import SlidingWindow
 from vo.engine.backend.window_problem import FactorSource
@@ -32,8 +31,6 @@ from vo.engine.frontend.pair_matching import PairMatcher
 from vo.engine.frontend.preprocessing import FramePreprocessor
 from vo.engine.frontend.static_masks import StaticMasks, recorded_masks
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
-from vo.engine.inertial.prediction import InertialPredictor
-from vo.engine.inertial.samples import InertialSensor, SampleReader
 from vo.engine.map_alignment import MapAlignment
 from vo.engine.map_creator import MapCreator, StereoInitializer
 from vo.engine.map_updater import MapUpdater
@@ -51,6 +48,8 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 
 if TYPE_CHECKING:
     from vo.engine.features.second_kind import SecondKind
+    from vo.engine.inertial.prediction import InertialPredictor
+    from vo.engine.inertial.samples import InertialSensor, SampleReader
     from vo.engine.inertial_path.alignment import InertialAlignment
     from vo.engine.memory.final_adjustment import FinalAdjustment
     from vo.engine.memory.memory import Memory
@@ -123,8 +122,7 @@ def make_stages(
     frontend, second = _frontend(config, components)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_metric)
     descriptors = frontend.extractor.descriptor_format
-    given = components.inertial_sensor
-    reader = None if given is None else SampleReader(given)
+    reader = _reader(components.inertial_sensor)
     predictor = _predictor(reader, components.inertial_noise, rectified)
     inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
     memory = memory_of_run(rectified, descriptors, config, trajectory, stopwatch, inertial)
@@ -137,6 +135,8 @@ def make_stages(
     optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
     factors = list(components.factor_sources)
     if predictor is not None:
+        from vo.engine.backend.gap_factors import GapFactors
+
         factors.append(GapFactors(motion, predictor))
     sigma_px = config.stereo.sigma_disparity_px
     window = SlidingWindow(local_map, optimizer, sigma_px, config.smoothing, stopwatch, factors)
@@ -215,12 +215,22 @@ def _final(
     return FinalAdjustment(trajectory, frontend, config, stopwatch)
 
 
+def _reader(sensor: InertialSensor | None) -> SampleReader | None:
+    if sensor is None:
+        return None
+    from vo.engine.inertial.samples import SampleReader
+
+    return SampleReader(sensor)
+
+
 def _predictor(
     reader: SampleReader | None, noise: ImuNoise | None, rig: RectifiedRig
 ) -> InertialPredictor | None:
     """What predicts through lost frames, None without an inertial sensor."""
     if reader is None or reader.sensor.cam0_from_imu is None:
         return None
+    from vo.engine.inertial.prediction import InertialPredictor
+
     noise = noise or reader.sensor.noise or NOISE_CLASSES["consumer"]
     imu_from_cam = inverse(reader.sensor.cam0_from_imu) @ rig.cam0_from_rectified
     return InertialPredictor(reader, noise, imu_from_cam)

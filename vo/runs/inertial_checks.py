@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vo.base.faults import Fault, FaultKind
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Ints
-from vo.engine.inertial.samples import InertialSensor, Samples
+
+if TYPE_CHECKING:
+    from vo.engine.inertial.samples import InertialSensor, Samples
 
 _MIN_RATE_HZ = 50.0
 _MIN_COVERED = 0.95  # of the images

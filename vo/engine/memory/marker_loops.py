@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from vo.base.types import Floats
 from vo.engine.geometry import sim3
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.markers.dictionaries import is_same_kind
-from vo.engine.markers.marker_problem import MarkerView
-from vo.engine.markers.visit_fit import fit_visit
 from vo.engine.places.records import Loop, MarkerVisit, PathKeyframe, PlaceKey
+
+if TYPE_CHECKING:
+    from vo.engine.markers.marker_problem import MarkerView
 
 _MAX_GAP_NS = 2_000_000_000  # between two keyframes of one visit
 # Keyframes of a visit, so that a wrong id, or a wrong one of both poses of a square, is noticed.
@@ -194,6 +195,8 @@ class MarkerLoops:
             _MIN_METRIC if self._is_metric else _MIN_MONO
         ):
             return []
+        from vo.engine.markers.visit_fit import fit_visit
+
         poses = np.stack([each.odom_from_cam for each in sights]) @ self._rectified_from_cam0
         found = fit_visit([each.view for each in sights], poses, is_metric=self._is_metric)
         if found is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,11 +19,13 @@ from vo.engine.frontend.optical_flow import follow
 from vo.engine.frontend.patch_alignment import patches_of
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.neighbours import far_from
-from vo.engine.inertial.prediction import InertialPredictor
 from vo.engine.mapping.keyframe import Keyframe, without_disparity
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.tracking.two_view import IntermediateView, MatchedViews, TwoView, reconstruct
+
+if TYPE_CHECKING:
+    from vo.engine.inertial.prediction import InertialPredictor
 
 _MAX_WAITING = 30  # frames kept in memory, to be tracked in the first map
 _INTERMEDIATE_VIEWS = 4  # of them, evenly spread, that decide between two motions

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
 from vo.base.types import Floats
-from vo.engine.inertial.prediction import Gap
+
+if TYPE_CHECKING:
+    from vo.engine.inertial.prediction import Gap
 
 _MAX_AHEAD_NS = 1_000_000_000  # after the newest tracked frame, without an inertial sensor
 _MAX_SQUARED = 10.0**2  # squared Mahalanobis distance of a measured pose from a predicted one
