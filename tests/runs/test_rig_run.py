@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,19 @@ def test_a_sensor_gives_metres_where_cameras_see_nothing_in_common(tmp_path: Pat
     assert any("its 2 cameras see nothing in common; only cam0 and the" in text for text in found)
     alone = vo.run(path, tmp_path / "both", imu=False)
     assert alone.facts.mode != "mono" and alone.tracked > 15
+
+
+def test_missing_images_of_any_camera_are_said(robot: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(robot, copy)
+    for number in (2, 3):
+        for image in sorted((copy / "mav0" / f"cam{number}" / "data").iterdir())[12 + number :]:
+            image.unlink()
+    summary = vo.run(copy, tmp_path / "out")
+    assert summary.tracked == 20 and summary.unpaired == 6
+    told = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))["warnings"]
+    assert "6 frames used without the image of a camera" in told
+    assert vo.evaluate(tmp_path / "out", robot).ate.translation.rmse < 0.005
 
 
 def test_a_rig_is_found_in_the_map_of_an_earlier_run(robot: Path, tmp_path: Path) -> None:

@@ -126,6 +126,19 @@ def test_a_chain_of_four_for_two_folders_is_a_pair(
     assert len(source.rig.cameras) == 2 and not caplog.records
 
 
+def test_a_chain_of_five_for_four_folders_says_that_one_has_no_images(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_mav(tmp_path / "log", 4)
+    chain = kalibr(4)
+    chain["cam4"] = chain["cam3"] | {"T_cn_cnm1": np.diag([-1.0, 1.0, -1.0, 1.0]).tolist()}
+    (tmp_path / "chain.yaml").write_text(yaml.safe_dump(chain), encoding="utf-8")
+    source = open_source(path, calibration=tmp_path / "chain.yaml")
+    assert len(source.rig.cameras) == 4
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said.endswith("log: the calibration has 5 cameras, but the last has no images")
+
+
 def test_missing_folder_and_uncalibrated_folders_are_said(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

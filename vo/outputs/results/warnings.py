@@ -71,7 +71,9 @@ def _tracking_warnings(summary: Summary) -> list[str]:
             f"{counted(len(summary.skipped), 'frame')} skipped: the images cannot be used"
         )
     if summary.unpaired:
-        warnings.append(f"{counted(summary.unpaired, 'frame')} used without right or depth image")
+        is_rig = summary.facts.mode == "rig"
+        missing = "the image of a camera" if is_rig else "right or depth image"
+        warnings.append(f"{counted(summary.unpaired, 'frame')} used without {missing}")
     if summary.tracked and inliers < MIN_INLIERS:
         warnings.append(f"poor tracking: median of {inliers:.0f} inliers")
     return warnings

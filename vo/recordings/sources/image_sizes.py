@@ -83,6 +83,14 @@ def rig_with_images(
             f" to cam{count - 1}" if count > len(rig.cameras) + 1 else "",
             counted(len(rig.cameras), "camera"),
         )
+    elif 2 < count < len(rig.cameras):
+        left_out = len(rig.cameras) - count
+        _log.warning(
+            "%s: the calibration has %d cameras, but %s",
+            name,
+            len(rig.cameras),
+            f"the last {left_out} have no images" if left_out > 1 else "the last has no images",
+        )
     many = rig.first(count)
     if not many.further:
         return None
