@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -11,8 +11,9 @@ import numpy as np
 from data_synth.plan import Plan
 from data_synth.records import Shot
 from data_synth.scene.builder import with_bodies
-from data_synth.scene.render import camera_rays, render
+from data_synth.scene.render import Rendered, camera_rays, render
 from data_synth.scene.shutter import Shutter, moving_shutter, static_shutter
+from data_synth.scene.wide_render import Face, faces_of, render_faces, sees_behind
 from data_synth.scene.world import World
 from data_synth.sensor.exposure import AutoExposure, Settings, readout_s
 from data_synth.sensor.photometrics import develop, vignetting
@@ -25,12 +26,23 @@ _FRAMES_AT_ONCE = 2
 
 @dataclass(frozen=True, eq=False)
 class _CameraSetup:
-    """A camera with its rays, prepared for rendering."""
+    """A camera with its rays, or with the faces of a wide lens, prepared for rendering."""
 
     camera: Camera
     rays: Floats
+    faces: tuple[Face, ...]
     vignette: Floats32
     body_from_cam: Floats
+
+    def render(
+        self, world: World, shutter_at: Callable[[Floats], Shutter], pool: ThreadPoolExecutor
+    ) -> Rendered:
+        """One image; `shutter_at` gives the shutter of a camera from its pose on the body."""
+        if not self.faces:
+            return render(world, self.rays, shutter_at(self.body_from_cam), pool)
+        return render_faces(
+            world, self.faces, lambda pose: shutter_at(self.body_from_cam @ pose), pool
+        )
 
 
 _ImageAndDepth = tuple[Bytes, Floats32 | None]
@@ -87,20 +99,27 @@ def render_frames(
 
 def _camera_setups(plan: Plan) -> tuple[_CameraSetup, ...]:
     rig, strength = plan.recording.rig, plan.recipe.effects.vignetting
-    return tuple(
-        _CameraSetup(camera, camera_rays(camera), vignetting(camera, strength), body_from_cam)
-        for camera, body_from_cam in zip(rig.cameras, plan.recording.body_from_cams, strict=True)
-    )
+    setups = []
+    for camera, body_from_cam in zip(rig.cameras, plan.recording.body_from_cams, strict=True):
+        faces = faces_of(camera) if sees_behind(camera) else ()
+        rays = np.empty((0, 0, 3)) if faces else camera_rays(camera)
+        shade = vignetting(camera, strength)
+        setups.append(_CameraSetup(camera, rays, faces, shade, body_from_cam))
+    return tuple(setups)
 
 
 def _preview_mean(plan: Plan, setup: _CameraSetup, index: int, pool: ThreadPoolExecutor) -> float:
     """Mean radiance of a view in the light of the start, from a fraction of its pixels."""
     step = _PREVIEW_STEP
     world_from_body = plan.path.world_from_body(plan.path_s[index : index + 1])[0]
-    rays = np.ascontiguousarray(setup.rays[::step, ::step])
-    view = render(
-        _world(plan, index), rays, static_shutter(world_from_body @ setup.body_from_cam), pool
-    )
+    if setup.faces:
+        step, world = 1, _world(plan, index)
+        view = setup.render(world, lambda pose: static_shutter(world_from_body @ pose), pool)
+    else:
+        rays = np.ascontiguousarray(setup.rays[::step, ::step])
+        view = render(
+            _world(plan, index), rays, static_shutter(world_from_body @ setup.body_from_cam), pool
+        )
     light = plan.recipe.effects.light
     return light * float((view.image * setup.vignette[::step, ::step]).mean())
 
@@ -118,8 +137,12 @@ def _start_frame(
 
     def render_camera(number: int) -> _ImageAndDepth:
         late_s = plan.timing.late_s[number]
-        shutter = _shutter(plan, setups[number], index, settings, late_s)
-        view = render(_world(plan, index, late_s), setups[number].rays, shutter, pool)
+
+        def shutter_at(body_from_cam: Floats) -> Shutter:
+            rows = setups[number].camera.height
+            return _shutter(plan, body_from_cam, rows, index, settings, late_s)
+
+        view = setups[number].render(_world(plan, index, late_s), shutter_at, pool)
         image = develop(
             view.image,
             settings,
@@ -151,13 +174,13 @@ def _world(plan: Plan, index: int, late_s: float = 0.0) -> World:
 
 
 def _shutter(
-    plan: Plan, setup: _CameraSetup, index: int, settings: Settings, late_s: float
+    plan: Plan, body_from_cam: Floats, rows: int, index: int, settings: Settings, late_s: float
 ) -> Shutter:
     """Poses of a camera, `late_s` after the first one, during the exposure of a frame."""
     return moving_shutter(
-        lambda times_s: plan.path.world_from_body(times_s) @ setup.body_from_cam,
+        lambda times_s: plan.path.world_from_body(times_s) @ body_from_cam,
         time_s=float(plan.path_s[index]) + late_s,
-        rows=setup.camera.height,
+        rows=rows,
         exposure_s=settings.exposure_s,
         readout_s=readout_s(plan.recipe.effects, plan.recipe.fps),
     )

@@ -257,6 +257,9 @@ class CameraConfig(Section):
         "auto",
         description="slow: zoom and autofocus are followed; auto: where a change is noticed",
     )
+    field_of_view: Literal["auto", "cropped", "whole"] = Field(
+        "auto", description="how much of wide lenses is used (docs/wide-lenses.md)"
+    )
     baseline_m: float | None = Field(
         None, gt=0, le=100, description="distance of both cameras of a pair without calibration"
     )

@@ -28,7 +28,13 @@ Bools = NDArray[np.bool_]
 Descriptors = NDArray[np.generic]  # (N, width), of the type that the feature extractor gives
 
 DistortionModel = Literal[
-    "none", "radtan", "equidistant", "double_sphere", "extended_unified", "omni"
+    "none",
+    "radtan",
+    "equidistant",
+    "double_sphere",
+    "extended_unified",
+    "omni",
+    "equirectangular",
 ]
 Mode = Literal["auto", "mono", "stereo"]
 
@@ -43,7 +49,8 @@ class Camera:
         cx, cy: principal point.
         distortion_model: `radtan` (OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]]), `equidistant`
             (Kannala-Brandt, k1..k4, OpenCV's fisheye), `double_sphere` (xi alpha),
-            `extended_unified` (alpha beta), `omni` (Mei's xi, then those of radtan) or `none`.
+            `extended_unified` (alpha beta), `omni` (Mei's xi, then those of radtan),
+            `equirectangular` (longitude and latitude, 2 pi fx pixels around) or `none`.
         distortion: its coefficients.
         readout_s: time from the first to the last row of an image; 0 for a global shutter.
     """

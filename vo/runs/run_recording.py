@@ -162,7 +162,7 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
         decided = _with_rescue(decided, components)
     process = options.optimizer_process
     if options.save_map is not None:
-        check_has_map(rig, "save_map")
+        check_has_map(rig, decided, "save_map")
     with closing(make_odometry(rig, decided, components, process)) as odometry:
         if options.save_map is not None:
             odometry.map_alignment.check_savable(options.save_map)
@@ -345,7 +345,8 @@ def _with_imu(opened: OpenedRun) -> tuple[OpenedRun, Components]:
     others = [each for each in opened.scale.all if each is not opened.scale.wheel]
     reason = "it cannot be combined with another source of the scale"
     if not others or stream.rig.is_metric:
-        reason = "a rig of cameras is tracked without it" if is_tracked_as_rig(stream.rig) else ""
+        is_rig = is_tracked_as_rig(stream.rig, opened.config, has_sensor=True)
+        reason = "a rig of cameras is tracked without it" if is_rig else ""
     if reason:
         return replace(opened, unused_imu=InertialUse(sensor.name, reason)), components
     try:
@@ -371,8 +372,7 @@ def _opened(
         path = str(Path(source))
     recording = path if isinstance(source, str | Path) else None
     given = options.scale if options.gps is None else replace(options.scale, gps=options.gps)
-    sources = options.scale_sources
-    scale = make_scale_sources(given, sources, stream, recording, options.topics)
+    scale = make_scale_sources(given, options.scale_sources, stream, recording, options.topics)
     name, known = options.source_name or path, known_at_first(stream, config, options)
     return OpenedRun(stream, path, name, config, options, scale, known=known)
 

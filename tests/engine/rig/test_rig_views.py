@@ -24,8 +24,8 @@ def test_equal_pinhole_cameras_stay_as_they_are() -> None:
 
 @pytest.mark.parametrize(
     ("lens", "yaw_deg", "half_deg"),
-    # As wide as the lens shows, which is projected up to 90 degrees from its axis.
-    [(FISHEYE, 39.5, 40.5), (replace(FISHEYE, fx=100.0, fy=100.0), 44.5, 45.5)],
+    # As wide as the lens shows, at most 50 degrees to each side.
+    [(FISHEYE, 39.5, 40.5), (replace(FISHEYE, fx=100.0, fy=100.0), 49.0, 50.0)],
 )
 def test_a_wide_lens_becomes_two_views_to_the_sides(
     lens: Camera, yaw_deg: float, half_deg: float

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.geometry import cameras
+from vo.base.geometry.lens_field import reach
 from vo.base.types import Camera, Floats, Floats32
 
 Maps = tuple[NDArray[np.int16], NDArray[np.uint16]]
@@ -41,7 +42,13 @@ def wide_maps(camera: Camera, rotation: Floats, projection: Floats, size: tuple[
     v, u = np.mgrid[: size[1], : size[0]].astype(np.float64)
     pixels = np.column_stack([u.ravel(), v.ravel(), np.ones(u.size)])
     rays = pixels @ np.linalg.inv(projection[:, :3]).T @ rotation
-    xy = np.nan_to_num(cameras.project(camera, rays), nan=_OUTSIDE_PX)
+    xy = cameras.project(camera, rays)
+    behind = rays[:, 2] <= 0.0
+    if behind.any():  # as far as its edges or usual lenses: corners are often black
+        most = np.cos(reach(camera))
+        behind &= rays[:, 2] >= most * np.linalg.norm(rays, axis=1)
+        xy[behind] = cameras.project_wide(camera, rays[behind])
+    xy = np.nan_to_num(xy, nan=_OUTSIDE_PX)
     bounded = np.clip(xy, _OUTSIDE_PX, -_OUTSIDE_PX).astype(np.float32)
     first, second = cv2.convertMaps(bounded.reshape(size[1], size[0], 2), None, cv2.CV_16SC2)
     return first, second

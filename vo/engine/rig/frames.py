@@ -10,6 +10,7 @@ import numpy as np
 
 from vo.base.compiling.signatures import usual_array
 from vo.base.faults import Fault, FaultKind
+from vo.base.images.image_circle import circle_mask
 from vo.base.scheduling import give_way
 from vo.base.types import Bytes, Frame, Keypoints
 from vo.engine.frontend.camera_alignment import half_size_pyramid
@@ -18,7 +19,7 @@ from vo.engine.frontend.contrast import ContrastCorrection, has_content
 from vo.engine.frontend.image_repetition import Repetition, image_change
 from vo.engine.frontend.lazy_future import LazyFuture, each_started_early
 from vo.engine.frontend.preprocessing import PreprocessedFrame
-from vo.engine.rig.views import RigViews, ViewOfCamera
+from vo.engine.rig.views import RigViews
 
 _MIN_MOVING_PX = 0.4  # motion in another camera from which one that repeats its image has frozen
 
@@ -52,6 +53,8 @@ class RigPreprocessor:
     def __init__(self, rig: RigViews, extractor: FeatureExtractor, threads: int) -> None:
         self.is_eager = True
         self._rig = rig
+        self._masks = [view.mask for view in rig.views]
+        self._circles: set[int] = set()  # views whose image circle was looked for
         self._extractor = extractor
         self._before: tuple[Bytes | None, ...] = ()
         self._contrast = [ContrastCorrection() for _ in range(1 + rig.views[-1].camera)]
@@ -84,7 +87,8 @@ class RigPreprocessor:
             None if image is None else contrast.update((image,))[0]
             for image, contrast in zip(images, self._contrast, strict=True)
         ]
-        views = [self._view(frame, clear[view.camera], view) for view in self._rig.views]
+        self._hide_surround(images)
+        views = [self._view(frame, clear[view.camera], n) for n, view in enumerate(self._rig.views)]
         used = tuple(not left_out[view.camera] for view in self._rig.views)
         stamps_ns = frame.stamps_ns or (frame.stamp_ns,) * cameras
         delay_s = tuple(1e-9 * (stamps_ns[v.camera] - frame.stamp_ns) for v in self._rig.views)
@@ -109,12 +113,24 @@ class RigPreprocessor:
             for image, change in zip(images, changes, strict=True)
         ]
 
-    def _view(self, frame: Frame, image: Bytes | None, view: ViewOfCamera) -> PreprocessedFrame:
-        rig = self._rig.rectified
+    def _hide_surround(self, images: Sequence[Bytes | None]) -> None:
+        """Find the circles of wide lenses in their first images."""
+        for number, view in enumerate(self._rig.views):
+            image = images[view.camera]
+            if image is None or view.lens is None or number in self._circles:
+                continue
+            self._circles.add(number)
+            circle = circle_mask(image, view.lens)
+            mask, before = None if circle is None else view.mask_of(circle), self._masks[number]
+            if mask is not None:
+                self._masks[number] = mask if before is None else np.minimum(mask, before)
+
+    def _view(self, frame: Frame, image: Bytes | None, number: int) -> PreprocessedFrame:
+        rig, view = self._rig.rectified, self._rig.views[number]
         shown = (
             np.zeros((rig.height, rig.width), np.uint8) if image is None else view.rectify(image)
         )
-        mask = view.mask
+        mask = self._masks[number]
         if view.camera == 0 and frame.mask is not None:
             of_frame = view.rectify(frame.mask)
             mask = of_frame if mask is None else np.minimum(mask, of_frame)

@@ -21,6 +21,7 @@ from vo.engine.rig.tracked import RigTracked, unobserved
 
 _LANDMARKS = 1000  # wanted in all views of an instant, in each at least the second number
 _MIN_LANDMARKS = 150
+_SAME_PLACE = 1e-9  # distance of views that are those of one lens
 # Minimum parallax of landmarks of one instant, whose views are known relative to each other; and
 # the usual depth, in baselines, where a view has no landmarks yet.
 _MIN_PARALLAX_DEG, _DEPTH_RATIO = 0.6, 15.0
@@ -131,7 +132,7 @@ class RigMapper:
         room = self._wanted - len(newer.landmark)
         apart = np.linalg.norm(older.world_from_cam[:3, 3] - newer.world_from_cam[:3, 3])
         turn = _axis_angle(older, newer)
-        if room <= 0 or apart == 0.0 or turn > _MAX_TURN_RAD:
+        if room <= 0 or apart < _SAME_PLACE or turn > _MAX_TURN_RAD:
             return
         relative = older.world_from_cam[:3, :3].T @ newer.world_from_cam[:3, :3]
         turns = rotation_angle(relative) > _TURNED_RAD

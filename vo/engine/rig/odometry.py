@@ -80,7 +80,7 @@ class RigOdometry(OdometryBase[RigFrame]):
         frontend = make_frontend(config, components.extractor, components.matcher)
         threads = config.threads or available_cores()
         self._preprocessor = RigPreprocessor(self._views, frontend.extractor, threads)
-        size = rig_window_size(config.smoothing, count)
+        size = rig_window_size(config.smoothing, self._views.body_from_views)
         descriptors = frontend.extractor.descriptor_format
         path = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=True)
         found = rectified, descriptors, config, path, self.stopwatch
@@ -93,7 +93,7 @@ class RigOdometry(OdometryBase[RigFrame]):
         parts = self._map, frontend, config.tracking, tied, self.stopwatch
         self._tracker: RigTracker = RigTracker(*parts)
         self._window_optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
-        of_window = self._map, self._window_optimizer, config.smoothing, self.stopwatch
+        of_window = self._map, self._window_optimizer, config.smoothing, self.stopwatch, size
         self._window = RigWindow(*of_window, self._views.cameras, self._unknown_lever)
         self._extrinsics = RigExtrinsics(tied, self._views.cameras)
         self._instants = size.free + size.fixed
@@ -147,7 +147,8 @@ class RigOdometry(OdometryBase[RigFrame]):
         cam0_from_body, found = self._views.rectified.cam0_from_rectified, []
         cameras = [view.camera for view in self._views.views]
         for number, view in enumerate(self._views.views):
-            name = f"cam{view.camera}" + "_2" * (view.camera in cameras[:number])
+            before = cameras[:number].count(view.camera)
+            name = f"cam{view.camera}" + (f"_{before + 1}" if before else "")
             image = frame.views[number].image0 if frame.used[number] else None
             found.append(
                 FurtherImage(name, image, cam0_from_body @ self._extrinsics.body_from_views[number])
@@ -256,7 +257,7 @@ class RigOdometry(OdometryBase[RigFrame]):
         if isinstance(pair, Failure):
             return pair
         tied, segment = self._set_metre(is_known=False), self._recovery.segment
-        self.scale_sources = (self,)
+        self.scale_sources = (self,) if self._extrinsics.body_from_views[:, :3, 3].any() else ()
         first = self._mapper.add_first_instant(pair.first, pose, tied, segment)
         self._mapper.add_first_instant(frame, pose @ pair.motion, tied, segment)
         self._mapper.newest[0].covariance = None

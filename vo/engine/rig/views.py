@@ -1,18 +1,18 @@
 """The cameras of a rig as views: pinhole cameras that all have the same intrinsics.
 
-A camera gives one view, or two that look to both sides where its lens is wider than a pinhole
-camera should be. The body is view 0, at camera 0.
+A camera gives one view, or several where its lens is wider than a pinhole camera should be. The
+body is view 0, at camera 0.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from vo.base.geometry import cameras
+from vo.base.geometry.lens_field import WIDE_DEG, half_angles
 from vo.base.geometry.pair_rectification import central_focal
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.rectification_maps import Maps, wide_maps
@@ -20,11 +20,12 @@ from vo.base.geometry.transforms import inverse, make_transform, so3_exp
 from vo.base.types import Bytes, Camera, Floats, Ints, Rig
 
 _GROWTH_PX = 16  # around what masks hide, as in `vo.engine.frontend.static_masks`
-# Beyond this angle from its axis a lens is shown by two views, as wide as it needs, of at most the
-# second angle to each side.
-_WIDE_DEG, _HALF_VIEW_DEG = 62.0, 50.0
-_MAX_RAY_DEG, _STEP_DEG = 110, 2  # searched for the edge of an image
+_HALF_VIEW_DEG = 50.0  # from the axis to the edge, at most, of each view of a wide lens
 _EVEN_DEG = 1.0  # margin between the two views of one lens
+# Directions (yaw and pitch in degrees) of the views of a single wide lens; only equirectangular
+# images have the one behind.
+_BEHIND = (180, 0)
+_AROUND = ((0, 0), (90, 0), _BEHIND, (270, 0), (0, 90), (0, -90))
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,18 +37,29 @@ class ViewOfCamera:
         body_from_view: (4, 4).
         maps: rectification maps, None for images used as recorded.
         mask: (H, W) uint8, 0 where the view has no pixels to be used; None without such.
+        lens: the camera, if it is a wide lens whose image may be a circle.
     """
 
     camera: int
     body_from_view: Floats
     maps: Maps | None
     mask: Bytes | None
+    lens: Camera | None = None
 
     def rectify(self, image: Bytes) -> Bytes:
         """The view of a recorded image."""
         if self.maps is None:
             return image
         return np.asarray(cv2.remap(image, *self.maps, cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def mask_of(self, recorded: Bytes) -> Bytes | None:
+        """The mask for one of the recorded image; None if all of the view is used."""
+        shown = self.rectify(recorded)
+        used = np.where(shown == 255, np.uint8(255), np.uint8(0))
+        if used.all():
+            return None
+        side = 2 * _GROWTH_PX + 1
+        return np.asarray(cv2.erode(used, np.ones((side, side), np.uint8)), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +95,17 @@ def rig_views(rig: Rig, masks: Sequence[Bytes | None] = ()) -> RigViews:
     views = []
     for number, (lens, pose) in enumerate(zip(lenses, rig.cam0_from_cams, strict=True)):
         recorded = masks[number] if number < len(masks) else None
+        if recorded is None:
+            recorded = np.full((lens.height, lens.width), 255, np.uint8)
         for turn in turns[number]:
             cam_from_view = make_transform(turn, np.zeros(3))
             maps = None
             if not np.array_equal(turn, np.eye(3)) or _differs(lens, size, matrix):
                 maps = wide_maps(lens, turn.T, matrix, size)
             placed = inverse(cam0_from_body) @ pose @ cam_from_view
-            views.append(ViewOfCamera(number, placed, maps, _mask(lens, maps, recorded)))
+            is_circle = len(turns[number]) > 1 and lens.distortion_model != "equirectangular"
+            view = ViewOfCamera(number, placed, maps, None, lens if is_circle else None)
+            views.append(replace(view, mask=view.mask_of(recorded)))
     fx, fy, cx, cy = (float(matrix[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
     rectified = RectifiedRig(*size, fx, fy, cx, cy, 0.0, cam0_from_body, recorded_rows=first.height)
     return RigViews(rectified, tuple(views))
@@ -107,45 +123,36 @@ def _common_pinhole(
     focal = float(np.median([central_focal(lens)[0] for lens in lenses]))
     turns: list[list[Floats]] = []
     half_width = half_height = 0.0
+    limit = np.deg2rad(_HALF_VIEW_DEG)
     for lens in lenses:
-        across, along = (_half_angle(lens, axis) for axis in (0, 1))
-        if across > np.deg2rad(_WIDE_DEG):
-            half = min(np.deg2rad(_HALF_VIEW_DEG), 0.5 * (across + np.deg2rad(_EVEN_DEG)))
-            yaw = half - np.deg2rad(_EVEN_DEG)
-            turns.append([so3_exp(np.array([0.0, side * yaw, 0.0])) for side in (-1.0, 1.0)])
-            across = half
-        else:
-            turns.append([np.eye(3)])
-        half_width = max(half_width, focal * np.tan(across))
-        half_height = max(half_height, focal * np.tan(min(along, np.deg2rad(_HALF_VIEW_DEG))))
+        rotations, half = _turns(lens, is_single=len(lenses) == 1)
+        turns.append(rotations)
+        half_width = max(half_width, focal * np.tan(half))
+        half_height = max(half_height, focal * np.tan(min(half_angles(lens)[1], limit)))
     size = 2 * int(half_width) + 1, 2 * int(half_height) + 1
     matrix = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
     return size, matrix, turns
 
 
-def _half_angle(lens: Camera, axis: int) -> float:
-    """The greater angle from the optical axis to the two edges of the image along an axis."""
-    angles = np.deg2rad(np.arange(0, _MAX_RAY_DEG, _STEP_DEG))
-    greatest = 0.0
-    for side in (-1.0, 1.0):
-        rays = np.zeros((len(angles), 3))
-        rays[:, axis], rays[:, 2] = side * np.sin(angles), np.cos(angles)
-        at = cameras.project(lens, rays)[:, axis]
-        end = (lens.width, lens.height)[axis] - 1
-        with np.errstate(invalid="ignore"):
-            inside = (at >= 0) & (at <= end) & (np.diff(at, prepend=at[0] - side) * side > 0)
-        beyond = np.flatnonzero(~inside)
-        last = (beyond[0] if len(beyond) else len(angles)) - 1
-        greatest = max(greatest, float(angles[max(last, 0)]))
-    return greatest
+def _turns(lens: Camera, *, is_single: bool) -> tuple[list[Floats], float]:
+    """Rotations cam_from_view of the views of a lens, and half the angle across each.
+
+    With other cameras around, two views to the sides are enough, as wide as they need to be.
+    """
+    across, along = half_angles(lens)
+    limit, even = np.deg2rad((_HALF_VIEW_DEG, _EVEN_DEG)).tolist()
+    if across <= np.deg2rad(WIDE_DEG):
+        return [np.eye(3)], across
+    if lens.distortion_model == "equirectangular":
+        return [_turn(*each) for each in _AROUND], limit
+    if is_single and along > np.deg2rad(WIDE_DEG):
+        return [_turn(*each) for each in _AROUND if each != _BEHIND], limit
+    half = min(limit, 0.5 * (across + even))
+    yaw_deg = float(np.rad2deg(half - even))
+    return [_turn(-yaw_deg, 0.0), _turn(yaw_deg, 0.0)], half
 
 
-def _mask(lens: Camera, maps: Maps | None, recorded: Bytes | None) -> Bytes | None:
-    if recorded is None:
-        recorded = np.full((lens.height, lens.width), 255, np.uint8)
-    shown = recorded if maps is None else np.asarray(cv2.remap(recorded, *maps, cv2.INTER_LINEAR))
-    used = np.where(shown == 255, np.uint8(255), np.uint8(0))
-    if used.all():
-        return None
-    side = 2 * _GROWTH_PX + 1
-    return np.asarray(cv2.erode(used, np.ones((side, side), np.uint8)), np.uint8)
+def _turn(yaw_deg: float, pitch_deg: float) -> Floats:
+    yaw, pitch = np.deg2rad(yaw_deg), np.deg2rad(pitch_deg)
+    turn = so3_exp(np.array([0.0, yaw, 0.0])) @ so3_exp(np.array([pitch, 0.0, 0.0]))
+    return np.asarray(np.round(turn, 12))

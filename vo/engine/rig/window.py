@@ -25,10 +25,14 @@ _FREE, _FIXED = 6, 6  # instants
 _LANDMARKS = 400  # for each view
 
 
-def rig_window_size(config: SmoothingConfig, views: int) -> WindowSize:
-    """Instants that are optimised, fixed ones, and landmarks."""
+def rig_window_size(config: SmoothingConfig, body_from_views: Floats) -> WindowSize:
+    """Instants that are optimised, fixed ones, and landmarks, for views (V, 4, 4).
+
+    Views from one place have no scale, which then drifts as that of one camera does.
+    """
     given = config.window, config.fixed, config.max_landmarks
-    usual = _FREE, _FIXED, _LANDMARKS * views
+    instants = (_FREE, _FIXED) if body_from_views[:, :3, 3].any() else config.size(is_metric=False)
+    usual = *instants[:2], _LANDMARKS * len(body_from_views)
     return WindowSize(*(u if g is None else g for g, u in zip(given, usual, strict=True)))
 
 
@@ -47,11 +51,12 @@ class RigWindow(SlidingWindow):
         optimizer: WindowOptimizer,
         config: SmoothingConfig,
         stopwatch: Stopwatch,
+        size: WindowSize,
         cameras: Ints,
         lever: Callable[[], tuple[Floats, float] | None],
     ) -> None:
         super().__init__(local_map, optimizer, 1.0, config, stopwatch)
-        self._size = rig_window_size(config, len(cameras))
+        self._size = size
         self._latency = 2
         self._cameras, self._views = cameras, len(cameras)
         self._lever = lever

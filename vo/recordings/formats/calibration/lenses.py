@@ -25,6 +25,7 @@ DISTORTION_NAMES: dict[str, DistortionModel] = {
     "eucm": "extended_unified",
     "omni": "omni",
     "mei": "omni",
+    "equirectangular": "equirectangular",
 }
 COUNTS: dict[DistortionModel, tuple[int, ...]] = {
     "none": (0,),
@@ -33,6 +34,7 @@ COUNTS: dict[DistortionModel, tuple[int, ...]] = {
     "double_sphere": (2,),
     "extended_unified": (2,),
     "omni": (1, 5, 6, 9),
+    "equirectangular": (0,),
 }
 PROJECTIONS: dict[str, tuple[DistortionModel, tuple[str, ...]]] = {
     "pinhole": ("none", ()),

@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from vo.base.errors import CalibrationError, OutputError
+from vo.base.geometry.cameras import equirectangular
 from vo.base.geometry.transforms import inverse
 from vo.base.noise_classes import NOISE_CLASSES
 from vo.base.types import Camera, Rig
@@ -32,7 +33,12 @@ from vo.recordings.formats.calibration.document import (
     ImuCalibration,
     shortened,
 )
-from vo.recordings.formats.calibration.numbers import make_number, make_positive, make_transform
+from vo.recordings.formats.calibration.numbers import (
+    make_number,
+    make_positive,
+    make_resolution,
+    make_transform,
+)
 
 _TOP_KEYS = ("cam0", "cam1", "cam1_from_cam0", "baseline_m", "depth_per_metre", "imu")
 _FURTHER = re.compile(r"cam([2-9]|[1-9]\d)(_from_cam0)?")
@@ -138,6 +144,9 @@ def _camera(document: Document, name: str) -> Camera:
     where = f"{document.path}: {name}"
     section = document.section(name)
     _check_keys(where, section, _CAMERA_KEYS)
+    if section.get("model") == "equirectangular":
+        _check_keys(f"{where} (equirectangular)", section, ("model", "resolution"))
+        return equirectangular(*make_resolution(where, section.get("resolution")))
     camera = make_camera(
         where,
         section.get("resolution"),
