@@ -50,13 +50,13 @@ class CubeCloud:
         self._waiting.append((keys, sums.astype(np.float32)))
         if sum(len(each) for each, _ in self._waiting) > _MERGE_ROWS:
             self._merge()
-        return _corners(keys)
+        return cubes_of_keys(keys)
 
     def cloud(self) -> Cloud:
         """The points."""
         self._merge()
         keys, sums = self._merged[0]
-        corner = _corners(keys) * self._edge
+        corner = cubes_of_keys(keys) * self._edge
         length = np.linalg.norm(sums[:, _NORMAL], axis=1, keepdims=True)
         return Cloud(
             corner + sums[:, _XYZ] / sums[:, [_WEIGHT]],
@@ -70,7 +70,13 @@ class CubeCloud:
         self._waiting = []
 
 
-def _corners(keys: Ints) -> Ints:
+def keys_of_cubes(cubes: Ints) -> Ints:
+    """Keys (N,) of cubes (N, 3), in the order of these; unique to 2**20 from the origin."""
+    x, y, z = (cubes + _OFFSET).T
+    return np.asarray(x << 2 * _BITS | y << _BITS | z)
+
+
+def cubes_of_keys(keys: Ints) -> Ints:
     """Cubes (N, 3), counted from the origin, of keys (N,)."""
     cube = np.stack([keys >> 2 * _BITS, keys >> _BITS, keys], axis=1) & ((1 << _BITS) - 1)
     return np.asarray(cube - _OFFSET)

@@ -184,7 +184,9 @@ def _view(
     scale = (size - 2 * _MARGIN_PX) / max(float((high - low).max()), 1e-9)
     offset = 0.5 * (size - scale * (low + high))
     picture = np.full((size, size, 3), 255, np.uint8)
-    order = np.argsort(seen[:, 2], kind="stable")  # the nearest last
+    height = seen[:, 2] - seen[:, 2].min(initial=0.0)
+    steps = (height * (65535 / max(float(height.max(initial=0.0)), 1e-9))).astype(np.uint16)
+    order = np.argsort(steps, kind="stable")  # the nearest last
     at = np.floor(seen[order, :2] * scale + offset).astype(np.int64)
     inside = ((at >= 0) & (at < size)).all(axis=1)
     picture[at[inside, 1], at[inside, 0]] = rgb[order][inside][:, ::-1]

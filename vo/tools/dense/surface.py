@@ -16,6 +16,7 @@ from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bytes, Floats, Floats32, Ints
 from vo.recordings.formats.mesh import Mesh
+from vo.tools.dense.cloud import cubes_of_keys, keys_of_cubes
 
 Ints16 = NDArray[np.int16]
 
@@ -34,57 +35,47 @@ class DistanceField:
     def __init__(self, edge: float, rig: RectifiedRig) -> None:
         self._edge = edge
         self._camera = np.array([rig.fx, rig.fy, rig.cx, rig.cy])
-        self._rows: dict[tuple[int, int, int], int] = {}
+        self._rows: dict[int, int] = {}  # by the key of a block
         self._distance = np.zeros((_FIRST_BLOCKS, _SIDE, _SIDE, _SIDE), np.int16)
         self._views = np.zeros(self._distance.shape, np.uint8)
         self._rgb = np.zeros((*self._distance.shape, 3), np.uint8)
 
     def add(self, depth: Floats32, rgb: Bytes, world_from_cam: Floats, cubes: Ints) -> None:
         """Add the inverse depths (H, W) of a keyframe, which are in the voxels `cubes` (N, 3)."""
-        blocks = _near(cubes)
-        rows = np.array([self._row(block) for block in map(tuple, blocks.tolist())], np.int64)
+        keys = _near(cubes)
+        known = self._rows
+        rows = np.array([known.setdefault(key, len(known)) for key in keys.tolist()], np.int64)
+        while len(known) > len(self._distance):
+            for name in ("_distance", "_views", "_rgb"):
+                values = getattr(self, name)
+                setattr(self, name, np.concatenate([values, np.zeros_like(values)]))
         if len(rows):
             fields = self._distance, self._views, self._rgb
             view = np.ascontiguousarray(depth), rgb, inverse(world_from_cam), self._camera
-            _integrate(*fields, rows, blocks, self._edge, *view)
+            _integrate(*fields, rows, cubes_of_keys(keys), self._edge, *view)
 
     def mesh(self) -> Mesh:
         """The surface."""
-        keys = sorted(self._rows)
-        blocks = np.array(keys, np.int64).reshape(-1, 3)
+        keys = np.array(sorted(self._rows), np.int64)
+        rows = np.array([self._rows[key] for key in keys.tolist()], np.int64)
+        blocks = cubes_of_keys(keys)
         near = np.full((len(keys), 8), -1, np.int64)
-        for n, key in enumerate(keys):
-            for c, (i, j, k) in enumerate(_CORNERS.tolist()):
-                near[n, c] = self._rows.get((key[0] + i, key[1] + j, key[2] + k), -1)
+        for c, corner in enumerate(_CORNERS if len(keys) else ()):
+            wanted = keys_of_cubes(blocks + corner)
+            at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+            near[:, c] = np.where(keys[at] == wanted, rows[at], -1)
         cell, position, rgb, signs = _crossed_cells(
             self._distance, self._views, self._rgb, near, blocks
         )
         return Mesh(position * self._edge, _faces(cell, signs), rgb)
 
-    def _row(self, block: tuple[int, int, int]) -> int:
-        row = self._rows.setdefault(block, len(self._rows))
-        if row == len(self._distance):
-            for name in ("_distance", "_views", "_rgb"):
-                values = getattr(self, name)
-                setattr(self, name, np.concatenate([values, np.zeros_like(values)]))
-        return row
-
 
 def _near(cubes: Ints) -> Ints:
-    """Blocks (B, 3) within reach of voxels (N, 3)."""
-    if not len(cubes):
-        return np.empty((0, 3), np.int64)
-    halves = _distinct(cubes // _REACH)
+    """Increasing keys (B,) of the blocks within reach of voxels (N, 3)."""
+    halves = cubes_of_keys(np.unique(keys_of_cubes(cubes // _REACH)))
     low, high = (halves - 1) // 2, (halves + 1) // 2
-    return _distinct(np.concatenate([np.where(corner, high, low) for corner in _CORNERS]))
-
-
-def _distinct(rows: Ints) -> Ints:
-    """Each of rows (N, 3) once, in increasing order."""
-    first = rows.min(axis=0)
-    shape = tuple((rows.max(axis=0) - first + 1).tolist())
-    keys = np.unique(np.ravel_multi_index(tuple((rows - first).T), shape))
-    return np.asarray(np.stack(np.unravel_index(keys, shape), axis=1) + first)
+    ends = [keys_of_cubes(np.where(corner, high, low)) for corner in _CORNERS]
+    return np.unique(np.concatenate(ends))
 
 
 @compiled
