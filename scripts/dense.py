@@ -134,7 +134,8 @@ def _grid_errors(
 ) -> str:
     """Of the cells that true depths call free, how many are, in percent; and how many gaps.
 
-    A gap is a cell that is free, occupied in truth, and not beside one that is occupied.
+    A gap is a cell that is free and not beside one that is occupied, but is occupied in truth, as
+    keyframes of even numbers see it and as those of odd ones do.
     """
     source: Any = vo.open(recording)
     camera, path = source.rig.cam0, source.ground_truth
@@ -145,20 +146,25 @@ def _grid_errors(
     edge, low = header["resolution"], np.array(header["origin"][:2])
     low += 0.5 * edge
     high = low + (np.array(found.shape[::-1]) - 2) * edge
-    true = OccupancyGrid(low, high, edge, (0.15, 1.8))
+    true, *halves = (OccupancyGrid(low, high, edge, (0.15, 1.8)) for _ in range(3))
     v, u = np.mgrid[: camera.height : 2, : camera.width : 2]
-    for stamp in stamps.values():
+    for number, stamp in enumerate(stamps.values()):
         z = _true_depth(recording, stamp)[::2, ::2]
         seen = z < done.far
         x, y = (u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z
         at = int(np.argmin(np.abs(path.stamps_ns - stamp)))
         pose = ground_from_truth @ path.world_from_cam[at]
-        true.add(transform_points(pose, np.stack([x, y, z], axis=-1)[seen]), u[seen], pose)
+        points = transform_points(pose, np.stack([x, y, z], axis=-1)[seen])
+        for each in (true, halves[number % 2]):
+            each.add(points, u[seen], pose)
     cells = true.grid().cells
     free = (cells == FREE) & (found != UNKNOWN)
     occupied = cv2.dilate((found == OCCUPIED).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    gaps = (cells == OCCUPIED) & (found == FREE) & ~occupied
-    print(f"{free.sum()} free cells, {(cells == OCCUPIED).sum()} occupied", file=sys.stderr)
+    walls = [(each.grid().cells == OCCUPIED) for each in (true, *halves)]
+    gaps = np.logical_and.reduce(walls) & (found == FREE) & ~occupied
+    print(
+        f"{free.sum()} free cells, {np.logical_and.reduce(walls).sum()} of walls", file=sys.stderr
+    )
     return f"{100 * np.mean(found[free] == FREE):.1f} | {gaps.sum()}"
 
 
