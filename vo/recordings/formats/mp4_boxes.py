@@ -76,12 +76,12 @@ def read_mp4(path: Path) -> Mp4:
     texts: dict[str, str] = {}
     user_data: dict[bytes, bytes] = {}
     try:
-        for kind, body in _boxes(moov):
+        for kind, body in child_boxes(moov):
             if kind == b"trak":
                 tracks.append(_track(body))
                 texts |= _apple_texts(tracks[-1].tables.get(b"meta", b""))
             elif kind == b"udta":
-                user_data |= dict(_boxes(body))
+                user_data |= dict(child_boxes(body))
                 texts |= _apple_texts(user_data.get(b"meta", b""))  # as FFmpeg copies them
             elif kind == b"meta":
                 texts |= _apple_texts(body)
@@ -112,7 +112,8 @@ def _moov(file: BinaryIO) -> bytes:
     return b""
 
 
-def _boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+def child_boxes(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Kinds and contents of the boxes in one."""
     at = 0
     while at + 8 <= len(data):
         size, kind = struct.unpack_from(">I4s", data, at)
@@ -126,7 +127,7 @@ def _track(data: bytes) -> _Track:
     track = _Track()
     pending = [data]
     while pending:
-        for kind, body in _boxes(pending.pop()):
+        for kind, body in child_boxes(pending.pop()):
             if kind in _CONTAINERS:
                 pending.append(body)
             elif kind == b"mdhd":
@@ -170,14 +171,14 @@ def _table(body: bytes, row: str) -> list[tuple[int, ...]]:
 
 def _apple_texts(body: bytes) -> dict[str, str]:
     """Keys and texts of a box `meta` of QuickTime."""
-    inside = dict(_boxes(body)) or {}
+    inside = dict(child_boxes(body)) or {}
     if b"keys" not in inside or b"ilst" not in inside:
-        inside = dict(_boxes(body[4:]))  # as in MP4, with version and flags
-    names = [name for _, name in _boxes(inside.get(b"keys", b"")[_FULL:])]
+        inside = dict(child_boxes(body[4:]))  # as in MP4, with version and flags
+    names = [name for _, name in child_boxes(inside.get(b"keys", b"")[_FULL:])]
     texts = {}
-    for number, item in _boxes(inside.get(b"ilst", b"")):
+    for number, item in child_boxes(inside.get(b"ilst", b"")):
         row = int.from_bytes(number, "big") - 1
-        value = dict(_boxes(item)).get(b"data", b"")
+        value = dict(child_boxes(item)).get(b"data", b"")
         if 0 <= row < len(names):
             name = _text(names[row]).removeprefix("com.apple.quicktime.")
             is_text = value[:4] == b"\0\0\0\1"

@@ -16,6 +16,7 @@ import numpy as np
 
 from vo.base.errors import CalibrationError, NoCalibration, NoPairCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
+from vo.base.geometry.cameras import equirectangular
 from vo.base.types import Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import (
     Calibration,
@@ -45,6 +46,7 @@ from vo.recordings.sources.pairing import (
     pair_by_stamp,
     shifted,
 )
+from vo.recordings.sources.panorama import is_panorama
 from vo.recordings.sources.sequence import ImageSequence, ListedImages
 from vo.recordings.sources.series_content import warn_of_halves
 
@@ -83,6 +85,7 @@ class RecordingContents:
     right_offset_ns: int | None = None
     faults: Sequence[Fault] = ()
     further: Sequence[Sequence[Shot] | None] = ()
+    film: Path | None = None  # a video file that has the images
 
 
 def no_calibration(error: NoCalibration, is_pair: bool, mode: Mode) -> CalibrationError:
@@ -103,7 +106,11 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     try:
         calibration = contents.calibrate(size)
     except NoCalibration as error:
-        raise no_calibration(error, contents.right is not None, mode) from error
+        is_pair = contents.right is not None
+        if is_pair or not is_panorama(contents.film, contents.left[0].image, size):
+            raise no_calibration(error, is_pair, mode) from error
+        _log.warning("%s: the images are marked as equirectangular (360°)", contents.name)
+        calibration = Calibration(Rig(equirectangular(*size)))
     size = usual_size(contents.left, size, calibration.rig.cam0)
     check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)

@@ -61,6 +61,7 @@ def gather_video(path: Path, calibration: Path | None, mode: Mode) -> RecordingC
             calibration, [path.with_suffix(".yaml"), path.parent / "calibration.yaml"]
         ),
         close=decoder.close,
+        film=path,
     )
 
 
