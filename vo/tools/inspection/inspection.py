@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from vo.base.errors import CalibrationError
-from vo.base.geometry.cameras import normalise
+from vo.base.geometry.cameras import directions
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.geometry.rig_overlap import overlap_ratios, overlaps
 from vo.base.geometry.transforms import inverse, rotation_angle
@@ -203,11 +203,12 @@ def _place(cam1_in_cam0: Floats) -> Place:
 
 def _lens(name: str, camera: Camera) -> LensReport:
     right, bottom = camera.width - 1, camera.height - 1
-    edges = normalise(
+    edges = directions(
         camera,
         np.array([[0, camera.cy], [right, camera.cy], [camera.cx, 0], [camera.cx, bottom]]),
     )
-    angles = np.degrees(np.arctan([edges[0, 0], edges[1, 0], edges[2, 1], edges[3, 1]]))
+    sideways = [edges[0, 0], edges[1, 0], edges[2, 1], edges[3, 1]]
+    angles = np.degrees(np.arctan2(sideways, edges[:, 2]))
     views = (angles[1] - angles[0], angles[3] - angles[2])
     return LensReport(
         name=name,

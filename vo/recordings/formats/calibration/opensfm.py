@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from vo.base.errors import CalibrationError
+from vo.base.geometry.cameras import equirectangular
 from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration.checks import make_camera
 from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize, shortened
@@ -24,6 +25,7 @@ _PROJECTIONS = {
     "fisheye": ("equidistant", _FISHEYE),
     "fisheye_opencv": ("equidistant", _FISHEYE),
 }
+_SPHERICAL = ("spherical", "equirectangular")
 _SIZE = ("width", "height")
 _MAX_RELATIVE = 50.0
 _CENTRE_PX = 0.5
@@ -58,6 +60,8 @@ def _cameras(document: Document) -> dict[str, Mapping[str, Any]]:
 
 
 def _is_camera(values: Mapping[str, Any]) -> bool:
+    if values.get("projection_type") in _SPHERICAL:
+        return True
     has_focal = "focal" in values or {"focal_x", "c_x"} <= set(values)
     return has_focal and ("projection_type" in values or {"k1", "k2"} <= set(values))
 
@@ -68,6 +72,8 @@ def _size(where: str, values: Mapping[str, Any]) -> ImageSize:
 
 def _camera(where: str, values: Mapping[str, Any]) -> Camera:
     projection = str(values.get("projection_type", "perspective"))
+    if projection in _SPHERICAL:
+        return equirectangular(*_size(where, values))
     if projection not in _PROJECTIONS:
         raise unsupported(f"{where}: projection_type {shortened(projection)[:40]}", _PROJECTIONS)
     size = _size(where, values)

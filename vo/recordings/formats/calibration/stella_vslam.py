@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vo.base.errors import CalibrationError
+from vo.base.geometry.cameras import equirectangular
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration.checks import (
@@ -25,7 +26,12 @@ from vo.recordings.formats.calibration.checks import (
 )
 from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize, shortened
 from vo.recordings.formats.calibration.keys import coefficients_of
-from vo.recordings.formats.calibration.numbers import make_number, make_positive, unsupported
+from vo.recordings.formats.calibration.numbers import (
+    make_number,
+    make_positive,
+    make_resolution,
+    unsupported,
+)
 
 _LENSES = {"perspective": "radtan", "fisheye": "equidistant"}
 _SETUPS = ("monocular", "stereo", "rgbd")
@@ -70,6 +76,9 @@ def _section(document: Document, name: str) -> dict[str, Any]:
 
 def _camera(document: Document, camera: Mapping[str, Any], image_size: ImageSize | None) -> Camera:
     where = f"{document.path}: Camera"
+    is_stereo = str(camera.get("setup", "")).strip().lower() == "stereo"
+    if str(camera.get("model")).strip().lower() == "equirectangular" and not is_stereo:
+        return equirectangular(*make_resolution(where, _size(camera, image_size)))
     lens = _lens(where, camera.get("model"))
     given = {key: camera[key] for key in _COEFFICIENTS if key in camera}
     if "k1" not in given:
