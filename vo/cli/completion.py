@@ -9,7 +9,7 @@ import typer
 
 INPUT_FORMATS = (
     *("mcap", "rosbag1", "rosbag2", "kitti", "kitti_raw", "4seasons", "euroc", "tum"),
-    *("nerf", "nuscenes", "video", "glob", "folder", "stray"),
+    *("tartanair", "nerf", "nuscenes", "video", "glob", "folder", "stray"),
 )
 """Formats of `--format`."""
 

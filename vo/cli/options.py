@@ -109,7 +109,7 @@ class Reading:
     )
     format: str | None = option(
         "Format of the recording: mcap, rosbag1, rosbag2, kitti, kitti_raw, 4seasons, euroc, "
-        "tum, nerf, nuscenes, video, glob or folder.",
+        "tum, tartanair, nerf, nuscenes, video, glob or folder.",
         default=None,
         metavar="FORMAT",
         show_default="detected from the files",

@@ -75,6 +75,9 @@ FORMATS: dict[str, Format] = {
     "tum": Format(
         "vo.recordings.sources.tum:gather_tum", ("rgb.txt", "assoc*.txt", "rgbd_assoc*.txt")
     ),
+    "tartanair": Format(
+        "vo.recordings.sources.tartanair:gather_tartanair", ("image_left", "image_lcam_front")
+    ),
     "rosbag2": Format(
         "vo.recordings.sources.bags.ros2:Bag",
         ("metadata.yaml", "*.db3", "*.db3.zstd", "*_0.mcap"),
