@@ -43,7 +43,7 @@ def is_tracked_as_rig(rig: Rig, config: Config, *, has_sensor: bool = False) -> 
     if field == "whole":
         return bool(max(angles) > np.deg2rad(WIDE_DEG))
     others = has_sensor or config.memory.map or any(c.readout_s for c in rig.cameras)
-    return not others and bool(min(angles) > np.deg2rad(_WHOLE_DEG))
+    return rig.cam1 is None and not others and bool(min(angles) > np.deg2rad(_WHOLE_DEG))
 
 
 def make_odometry(
