@@ -87,7 +87,7 @@ def _run(recording: Path, kind: str, *options: str) -> VoRun:
 
 
 def _error(recording: Path, run: VoRun) -> float:
-    return float(vo.evaluate(run.output, recording, align="se3").ate.translation.rmse)
+    return float(vo.evaluate(run.output, recording, align="auto").ate.translation.rmse)
 
 
 def _ms(run: VoRun, cameras: int) -> float:
