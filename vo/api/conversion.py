@@ -33,6 +33,7 @@ from vo.tools.inspection.opening import OpenedRecording, right_stamps
 
 OnFrame = Callable[[int, int], None]
 _NS_PER_S = 1e9
+_MAX_LATE_MS = 1.0  # as where a rig is read: cameras with a common trigger
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,24 @@ class Conversion:
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The frames to write: numbers in the source, and stamps; -1 without a right image."""
+    """The frames to write.
+
+    Attributes:
+        numbers: (F,) in the source.
+        stamps_ns: (F,) of each camera, -1 without an image.
+        unreadable: numbers of frames and their camera, without those that have no first image.
+        lost: numbers of frames whose first image is unreadable.
+    """
 
     numbers: Ints
-    left_ns: Ints
-    right_ns: Ints
-    unreadable: set[int] = field(default_factory=set)
-    right_unreadable: set[int] = field(default_factory=set)
+    stamps_ns: tuple[Ints, ...]
+    unreadable: set[tuple[int, int]] = field(default_factory=set)
+    lost: set[int] = field(default_factory=set)
+
+    @property
+    def left_ns(self) -> Ints:
+        """(F,) stamps of the first camera, of which no image is missing."""
+        return self.stamps_ns[0]
 
 
 class _UnreadableError(Exception):
@@ -88,11 +100,6 @@ def convert(
     source = opened.source
     if source is None:
         raise SourceError(opened.refusal)
-    if source.rig.further:
-        raise SourceError(
-            f"{source.name} has {len(source.rig.cameras)} cameras; two at most are converted: use "
-            "`mode=stereo` or `mode=mono`"
-        )
     _refuse_existing(output, force)
     plan = _plan(opened, source, settings)
     truth = poses_around(plan.left_ns, source.ground_truth)
@@ -122,15 +129,15 @@ def convert(
 def _plan(opened: OpenedRecording, source: SourceRecording, settings: Conversion) -> _Plan:
     chosen = select_frames(len(source), settings.start, settings.end, settings.stride)
     numbers = np.array(chosen, dtype=np.int64)
-    right_ns = np.full(len(numbers), -1, dtype=np.int64)
-    if source.rig.is_stereo:
+    others = source.partner_stamps_ns
+    if source.rig.is_stereo and not source.rig.further:
         left, right = opened.cameras
         with collected_warnings():  # repeated from opening
-            right_ns = right_stamps(left.shots, right.shots)[numbers]
+            others = [right_stamps(left.shots, right.shots)]
     left_ns = source.stamps_ns[numbers]
     if left_ns[0] < 0:
         raise SourceError(f"the first stamp is {left_ns[0]} ns; negative stamps cannot be written")
-    return _Plan(numbers, left_ns, right_ns)
+    return _Plan(numbers, (left_ns, *(own_ns[numbers] for own_ns in others)))
 
 
 def _recording(
@@ -138,13 +145,12 @@ def _recording(
 ) -> Recording:
     """The recording without inertial measurements, with cam0 as its body."""
     rig = scaled_rig(source.rig, settings.size)
-    no_left = np.isin(plan.numbers, list(plan.unreadable))
-    stamps, dropped = [plan.left_ns], [no_left]
-    if rig.is_stereo:
-        no_right = (plan.right_ns < 0) | no_left
-        no_right |= np.isin(plan.numbers, list(plan.right_unreadable))
-        stamps.append(np.where(plan.right_ns < 0, plan.left_ns, plan.right_ns))
-        dropped.append(no_right)
+    is_lost = np.isin(plan.numbers, list(plan.lost))
+    stamps, dropped = [], []
+    for camera, own_ns in enumerate(plan.stamps_ns):
+        unreadable = [number for number, of in plan.unreadable if of == camera]
+        stamps.append(np.where(own_ns < 0, plan.left_ns, own_ns))
+        dropped.append((own_ns < 0) | is_lost | np.isin(plan.numbers, unreadable))
     interval = np.median(np.diff(plan.left_ns)) if len(plan.left_ns) > 1 else _NS_PER_S
     is_log = settings.format.startswith("mcap")
     return Recording(
@@ -178,7 +184,20 @@ def _check(recording: Recording, settings: Conversion) -> None:
         )
     if settings.format == "tum" and not recording.has_depth:
         raise ConfigError("format tum needs depth images, and there are none; use `to=euroc`")
+    if settings.format == "folder" and recording.rig.further:
+        _check_common_stamps(recording)
     known.check(recording.rig, False)
+
+
+def _check_common_stamps(recording: Recording) -> None:
+    """Refuse cameras without a common trigger, as a folder has the stamps of the first only."""
+    first_ns = recording.stamps_ns[0]
+    late_ms = max(1e-6 * float(np.abs(own - first_ns).max()) for own in recording.stamps_ns)
+    if late_ms > _MAX_LATE_MS:
+        raise ConfigError(
+            "format folder has the stamps of the first camera only, and those of others differ by "
+            f"up to {late_ms:.1f} ms; use `to=euroc`"
+        )
 
 
 def _shots(
@@ -201,13 +220,12 @@ def _shots(
 
 
 def _shot(frame: Frame, plan: _Plan, row: int, rig: Rig) -> Shot:
-    images: list[Pixels | None] = [resized(frame.image0, rig.cam0)]
-    if rig.cam1 is not None:
-        right = None if frame.image1 is None else resized(frame.image1, rig.cam1)
-        is_listed = plan.right_ns[row] >= 0 and frame.index not in plan.right_unreadable
-        if right is None and is_listed:
+    images: list[Pixels | None] = []
+    for camera, (lens, image) in enumerate(zip(rig.cameras, frame.images, strict=False)):
+        is_listed = plan.stamps_ns[camera][row] >= 0
+        if image is None and is_listed and (frame.index, camera) not in plan.unreadable:
             raise _UnreadableError
-        images.append(right)
+        images.append(None if image is None else resized(image, lens))
     depth = None
     if rig.has_depth:
         unknown = np.zeros((rig.cam0.height, rig.cam0.width), dtype=np.float32)
@@ -216,22 +234,23 @@ def _shot(frame: Frame, plan: _Plan, row: int, rig: Rig) -> Shot:
 
 
 def _missing(plan: _Plan, row: int, rig: Rig) -> Shot:
-    if int(plan.numbers[row]) not in plan.unreadable:
+    if int(plan.numbers[row]) not in plan.lost:
         raise _UnreadableError
-    return Shot(row, (None, None) if rig.is_stereo else (None,))
+    return Shot(row, (None,) * len(rig.cameras))
 
 
 def _find_unreadable(source: SourceRecording, plan: _Plan) -> None:
     """Read all frames and record unreadable images."""
     first, last = int(plan.numbers[0]), int(plan.numbers[-1])
     stride = int(plan.numbers[1] - first) if len(plan.numbers) > 1 else 1
-    right_ns = dict(zip(plan.numbers.tolist(), plan.right_ns.tolist(), strict=True))
-    read = set()
+    row_of = {number: row for row, number in enumerate(plan.numbers.tolist())}
+    plan.lost.update(row_of)
     for frame in source.frames(first, last + 1, stride):
-        read.add(frame.index)
-        if source.rig.is_stereo and frame.image1 is None and right_ns[frame.index] >= 0:
-            plan.right_unreadable.add(frame.index)
-    plan.unreadable.update(set(plan.numbers.tolist()) - read)
+        plan.lost.discard(frame.index)
+        row = row_of[frame.index]
+        for camera, (own_ns, image) in enumerate(zip(plan.stamps_ns, frame.images, strict=False)):
+            if image is None and own_ns[row] >= 0:
+                plan.unreadable.add((frame.index, camera))
 
 
 def _refuse_existing(path: Path, force: bool) -> None:

@@ -8,6 +8,7 @@ from typing import cast
 import cv2
 import numpy as np
 
+from data_synth.cameras import with_cameras
 from data_synth.records import Pixels
 from vo.base.types import Camera, Floats32, Rig
 
@@ -33,8 +34,7 @@ def scaled_rig(rig: Rig, size: Size | None) -> Rig:
     """The rig with all cameras scaled."""
     if size is None:
         return rig
-    cam1 = None if rig.cam1 is None else _scaled_to(rig.cam1, size)
-    return replace(rig, cam0=_scaled_to(rig.cam0, size), cam1=cam1)
+    return with_cameras(rig, [_scaled_to(camera, size) for camera in rig.cameras])
 
 
 def _scaled_to(camera: Camera, size: Size) -> Camera:

@@ -150,7 +150,12 @@ def _assemble_rig(
     contents: RecordingContents, calibration: Calibration, rig: Rig, first: Pixels
 ) -> ImageSequence:
     """A source of more than two cameras, each of which may have its own stamps."""
-    others, stamps_ns = associate(contents.left, _others(contents)[: len(rig.cameras) - 1])
+    others, times, is_staggered = associate(
+        contents.left, _others(contents)[: len(rig.cameras) - 1]
+    )
+    first_ns = np.array([shot.stamp_ns for shot in contents.left], dtype=np.int64)
+    frame_ns = np.stack([first_ns, *(np.where(own < 0, first_ns, own) for own in times)], axis=1)
+    stamps_ns = list(map(tuple, frame_ns.tolist())) if is_staggered else None
     levels = _grey_levels(contents, first, others[0])
     sequence = ImageSequence(
         name=contents.name,
@@ -161,6 +166,7 @@ def _assemble_rig(
         close=contents.close,
         imus=contents.find_imus(calibration),
     )
+    sequence.partner_stamps_ns = times
     sequence.faults += [*contents.faults, *_rate_faults(contents)]
     _log.info("%s: %d frames of %d cameras", contents.name, len(contents.left), len(rig.cameras))
     return sequence

@@ -50,22 +50,23 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredIma
 
 def associate(
     first: Sequence[Shot], others: Sequence[Sequence[Shot]]
-) -> tuple[list[list[StoredImage | None]], list[tuple[int, ...]] | None]:
+) -> tuple[list[list[StoredImage | None]], list[Ints], bool]:
     """Of other cameras of a rig the image at each image of the first, None where there is none.
 
     Images belong together if they are mutual nearest neighbours in time and differ by at most half
-    the median interval of the first camera. The second result are the times of the images of each
-    frame by camera, if the cameras have no common trigger: if any differs by more than 1 ms from
-    the first in most frames.
+    the median interval of the first camera. The other results are the times (N,) of these images,
+    -1 without one, and whether the cameras have no common trigger: whether any differs by more than
+    1 ms from the first in most frames.
     """
     stamps = np.array([shot.stamp_ns for shot in first], dtype=np.int64)
     most = median_interval_ns(stamps.tolist()) // 2 or MAX_TOLERANCE_NS
     images: list[list[StoredImage | None]] = []
-    times, is_staggered = [stamps], False
+    times: list[Ints] = []
+    is_staggered = False
     for shots in others:
         if not shots:
             images.append([None] * len(first))
-            times.append(stamps)
+            times.append(np.full_like(stamps, -1))
             continue
         own = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
         of_first, of_own = nearest(stamps, own), nearest(own, stamps)
@@ -76,8 +77,8 @@ def associate(
         )
         apart = np.abs(own[of_first] - stamps)[is_found]
         is_staggered |= bool(len(apart)) and float(np.median(apart)) > _COMMON_TRIGGER_NS
-        times.append(np.where(is_found, own[of_first], stamps))
-    return images, list(map(tuple, np.stack(times, axis=1).tolist())) if is_staggered else None
+        times.append(np.where(is_found, own[of_first], -1))
+    return images, times, is_staggered
 
 
 def tolerance_ns(stamps_left: Ints) -> int:

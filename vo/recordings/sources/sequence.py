@@ -66,6 +66,8 @@ class ImageSequence:
             than one camera or depth.
         right_offset_ns: added to the stamps of right images before they were paired.
         image_stamps_ns: of each frame the times of its images; None with a common trigger.
+        partner_stamps_ns: of cam1 and all further cameras of a rig, (N,) the recorded times of
+            their images, -1 without one.
         rescale: applied to each frame, see `vo.recordings.sources.rescaling`.
     """
 
@@ -93,6 +95,7 @@ class ImageSequence:
         self.imus = tuple(imus)
         self.faults: list[Fault] = []
         self.right_offset_ns = 0
+        self.partner_stamps_ns: Sequence[Ints] = ()
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
         self._further = images.further
