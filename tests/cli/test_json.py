@@ -46,6 +46,7 @@ def test_convert(synthetic_stereo: Path, tmp_path: Path) -> None:
         "format": "mcap",
         "codec": "jpeg",
         "mode": "stereo",
+        "cameras": 2,
         "frames": 1,
         "width": 400,
         "height": 250,

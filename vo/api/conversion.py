@@ -27,7 +27,7 @@ from vo.base.geometry.transforms import inverse
 from vo.base.types import Frame, Ints, Rig, Trajectory
 from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.images import ImageKind, is_colour
-from vo.recordings.sources.sequence import select_frames
+from vo.recordings.sources.sequence import ImageSequence, select_frames
 from vo.recordings.sources.source import Recording as SourceRecording
 from vo.tools.inspection.opening import OpenedRecording, right_stamps
 
@@ -126,7 +126,7 @@ def convert(
             _find_unreadable(source, plan)
 
 
-def _plan(opened: OpenedRecording, source: SourceRecording, settings: Conversion) -> _Plan:
+def _plan(opened: OpenedRecording, source: ImageSequence, settings: Conversion) -> _Plan:
     chosen = select_frames(len(source), settings.start, settings.end, settings.stride)
     numbers = np.array(chosen, dtype=np.int64)
     others = source.partner_stamps_ns
