@@ -172,7 +172,7 @@ def _lens(lens: LensReport, camera: CameraReport, is_refused: bool) -> Iterator[
             if (lens.height, lens.width) == (camera.width, camera.height)
             else "use the calibration of these images; vo convert --resize scales both",
         )
-    view = lens.view_deg[0]
+    view = None if lens.model == "equirectangular" else lens.view_deg[0]
     if view is not None and not _USUAL_VIEW_DEG[0] <= view <= _USUAL_VIEW_DEG[1]:
         yield Finding(
             "warning",
