@@ -344,9 +344,7 @@ def test_opensfm(tmp_path: Path) -> None:
     two = f"{one_focal[:-1]}, {OPENSFM[1:]}"
     assert read(tmp_path, two, size=(640, 480)).rig.cam0.fx == 544.0
     assert "has 2 cameras, c, v2 own" in read_error(tmp_path, two)
-    assert "projection_type 'dual'" in read_error(
-        tmp_path, fisheye.replace("fisheye", "dual")
-    )
+    assert "projection_type 'dual'" in read_error(tmp_path, fisheye.replace("fisheye", "dual"))
 
 
 def test_a_section_called_fisheye_says_the_model(tmp_path: Path) -> None:
