@@ -149,7 +149,7 @@ def corrected_camera(
     stream: Recording,
     config: Config,
     options: RunOptions,
-    seen: Sequence[tuple[Estimate, Landmarks]],
+    seen: Sequence[tuple[Estimate, Landmarks | None]],
 ) -> tuple[Camera, EstimatedCamera] | None:
     """The camera of a calibration that the images contradict, None where they do not.
 

@@ -24,7 +24,7 @@ from vo.runs.run_options import RunOptions
 # (KITTI 06: 0.085 m by 11 px; 0.026 by 7.6). Those of KITTI's drive of 2011 are, by 7 px at most.
 _MIN_EDGE_PX = 8.0
 _ZOOM = FaultKind.FOCAL_LENGTH_CHANGE
-_WATCHED = 45  # keyframes that a calibration is checked by
+_WATCHED, _PER_SNAPSHOT = 45, 4  # keyframes that a calibration is checked by
 _MIN_CONTRAST_RATIO = 3.0  # of right images to left ones
 
 
@@ -182,16 +182,17 @@ class _CalibrationWatch:
         rig = opened.stream.rig
         is_one = len(rig.cameras) == 1 and not rig.has_depth
         self._is_on = is_one and opened.known.can_follow and opened.estimated_camera is None
-        self._seen: list[tuple[Estimate, Landmarks]] = []
+        self._seen: list[tuple[Estimate, Landmarks | None]] = []
 
     def add(self, estimate: Estimate) -> None:
         """Raise WrongCalibration if enough keyframes say so."""
         errors = self._odometry.calibration_errors
         if not self._is_on or not estimate.keyframes or errors.lens_error is None:
             return
-        landmarks = self._odometry.snapshot().landmarks
-        if landmarks is not None:
-            self._seen.append((estimate, landmarks))
+        # A snapshot has what all keyframes of the window observe.
+        is_due = len(self._seen) % _PER_SNAPSHOT == 0
+        landmarks = self._odometry.snapshot().landmarks if is_due else None
+        self._seen.append((estimate, landmarks))
         if len(self._seen) >= _WATCHED:
             self.check()
 
