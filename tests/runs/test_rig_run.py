@@ -65,6 +65,30 @@ def test_missing_images_of_any_camera_are_said(robot: Path, tmp_path: Path) -> N
     assert vo.evaluate(tmp_path / "out", robot).ate.translation.rmse < 0.005
 
 
+def test_frames_that_camera_0_lacks_are_in_all_outputs(robot: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(robot, copy)
+    table = copy / "mav0" / "cam0" / "data.csv"
+    lines = table.read_text("utf-8").splitlines()
+    table.write_text("\n".join(lines[:9] + lines[16:]), encoding="utf-8")
+    summary = vo.run(copy, tmp_path / "out", colmap=tmp_path / "colmap")
+    assert (summary.frames, summary.tracked, summary.unpaired) == (20, 20, 7)
+    assert vo.evaluate(tmp_path / "out", robot).ate.translation.rmse < 0.005
+    stamps = open_source(robot).stamps_ns.tolist()
+    for name in ("poses.csv", "frames.csv", "cameras.csv"):
+        with (tmp_path / "out" / name).open() as file:
+            numbers = [int(row["frame"]) for row in csv.DictReader(file)]
+        assert sorted(set(numbers)) == list(range(20)), name
+    times = np.loadtxt(tmp_path / "out" / "trajectory.tum")[:, 0]
+    np.testing.assert_allclose(times, 1e-9 * np.array(stamps), atol=1e-6)
+    # What works with the images of camera 0 leaves those frames out.
+    vo.report(tmp_path / "out", tmp_path / "report.html")
+    assert vo.convert(copy, tmp_path / "a.mcap", to="mcap") == tmp_path / "a.mcap"
+    frames = list(open_source(tmp_path / "a.mcap").frames())
+    missing = [frame.index for frame in frames if frame.images[0] is None]
+    assert [len(frames), missing] == [20, list(range(8, 15))]
+
+
 def test_a_rig_is_found_in_the_map_of_an_earlier_run(robot: Path, tmp_path: Path) -> None:
     file = tmp_path / "room.vomap"
     vo.run(robot, tmp_path / "first", save_map=file)

@@ -62,20 +62,17 @@ class _Plan:
 
     Attributes:
         numbers: (F,) in the source.
+        left_ns: (F,) stamps of the frames, those of the first camera's images where it has them.
         stamps_ns: (F,) of each camera, -1 without an image.
-        unreadable: numbers of frames and their camera, without those that have no first image.
-        lost: numbers of frames whose first image is unreadable.
+        unreadable: numbers of frames and their camera, without those that are lost.
+        lost: numbers of frames that cannot be read.
     """
 
     numbers: Ints
+    left_ns: Ints
     stamps_ns: tuple[Ints, ...]
     unreadable: set[tuple[int, int]] = field(default_factory=set)
     lost: set[int] = field(default_factory=set)
-
-    @property
-    def left_ns(self) -> Ints:
-        """(F,) stamps of the first camera, of which no image is missing."""
-        return self.stamps_ns[0]
 
 
 class _UnreadableError(Exception):
@@ -129,15 +126,16 @@ def convert(
 def _plan(opened: OpenedRecording, source: ImageSequence, settings: Conversion) -> _Plan:
     chosen = select_frames(len(source), settings.start, settings.end, settings.stride)
     numbers = np.array(chosen, dtype=np.int64)
-    others = source.partner_stamps_ns
-    if source.rig.is_stereo and not source.rig.further:
-        left, right = opened.cameras
-        with collected_warnings():  # repeated from opening
-            others = [right_stamps(left.shots, right.shots)]
     left_ns = source.stamps_ns[numbers]
     if left_ns[0] < 0:
         raise SourceError(f"the first stamp is {left_ns[0]} ns; negative stamps cannot be written")
-    return _Plan(numbers, (left_ns, *(own_ns[numbers] for own_ns in others)))
+    by_camera = source.camera_stamps_ns
+    if source.rig.is_stereo and not by_camera:
+        left, right = opened.cameras
+        with collected_warnings():  # repeated from opening
+            by_camera = [source.stamps_ns, right_stamps(left.shots, right.shots)]
+    own = (own_ns[numbers] for own_ns in by_camera or [source.stamps_ns])
+    return _Plan(numbers, left_ns, tuple(own))
 
 
 def _recording(

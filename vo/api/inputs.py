@@ -23,6 +23,7 @@ from vo.base.images.given_images import (
 from vo.base.images.grey_stretch import Pixels, RunningStretch
 from vo.base.printable import counted
 from vo.base.types import Bytes, Camera, Floats32, Frame, Rig
+from vo.outputs.results.summary import mode_of
 from vo.recordings.formats.calibration import Calibration, read_calibration
 
 _MAX_STAMP_NS = 2**63 - 1
@@ -150,6 +151,8 @@ class FrameInput:
         """
         stamp = self._stamp(stamp_ns)
         images = self._images(left, right) + self._further(further)
+        if all(image is None for image in images):
+            raise InputError("left is None, and so are all others; give at least one image")
         times = None if stamps_ns is None else self._times(stamp, stamps_ns)
         frame = Frame(
             self._count,
@@ -176,16 +179,19 @@ class FrameInput:
         cam1 = self._rig.cam1
         if right is not None and cam1 is None:
             raise InputError("right is given, but the calibration has one camera only")
-        pixels = [self._pixels(left, "left", self._rig.cam0)]
+        is_missing = left is None and mode_of(self._rig) == "rig"
+        pixels = [] if is_missing else [self._pixels(left, "left", self._rig.cam0)]
         if right is not None and cam1 is not None:
             pixels.append(self._pixels(right, "right", cam1))
-            if pixels[0].dtype != pixels[1].dtype:
+            if pixels[0].dtype != pixels[-1].dtype:
                 raise InputError(
                     f"left is {pixels[0].dtype}, right is {pixels[1].dtype}; give both alike"
                 )
-        if pixels[0].dtype == np.uint16:
+        if pixels and pixels[0].dtype == np.uint16:
             self._stretch.update(pixels[0])
         images: list[Bytes | None] = [self._as_8_bits(each) for each in pixels]
+        if is_missing:
+            images.insert(0, None)
         return (*images, None) if cam1 is not None and right is None else tuple(images)
 
     def _further(self, given: Sequence[Any]) -> tuple[Bytes | None, ...]:

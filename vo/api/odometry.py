@@ -123,6 +123,7 @@ class Odometry:
         Args:
             stamp_ns: time of the frame in integer nanoseconds, above that of the frame before.
             left: image of camera 0: (H, W) in grey or (H, W, 3 or 4) in colour, uint8 or uint16.
+                A rig may lack it, too: None.
             right: image of camera 1 at the same time, None if it is missing.
             depth: (H, W) of camera 0, as float metres or uint16 millimetres; 0, negative and NaN
                 where unknown.
@@ -147,7 +148,7 @@ class Odometry:
             except BaseException as error:
                 self._end = f"an earlier call failed ({type(error).__name__})"
                 raise
-            self._count(estimate, is_unpaired=self._lacks_partner(right, depth))
+            self._count(estimate, is_unpaired=left is None or self._lacks_partner(right, depth))
             return estimate
 
     def add_imu(self, stamp_ns: int, gyro: Any, accel: Any) -> None:

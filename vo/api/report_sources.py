@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.api.eval_inputs import is_log, truth_of_log
 from vo.base.errors import EvaluationError, SourceError, VoError
-from vo.base.types import Mode, Trajectory
+from vo.base.types import Mode, Trajectory, with_image0
 from vo.outputs.evaluation.association import tracked_part
 from vo.outputs.evaluation.evaluation import Evaluation, evaluate
 from vo.outputs.evaluation.inputs import Inputs, causal_ate_m, inputs_with_own_truth, load_inputs
@@ -129,7 +129,7 @@ def take_thumbnails(run: RunRecord, source: Recording, zero_ns: int) -> tuple[Th
     for row, event in choose_events(run.frames):
         number, stamp_ns = int(run.frames.frame[row]), int(run.frames.stamp_ns[row])
         try:
-            frame = next(source.frames(number, number + 1), None)
+            frame = next(with_image0(source.frames(number, number + 1)), None)
         except VoError:
             continue
         if frame is not None and frame.stamp_ns == stamp_ns:

@@ -8,7 +8,7 @@ map), angles in radians, time in integer nanoseconds; points are rows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -144,7 +144,8 @@ class Frame:
 
     Attributes:
         index: number of the frame in its source, from 0, counting skipped frames too.
-        stamp_ns: time of the image of camera 0 in nanoseconds.
+        stamp_ns: time of the image of camera 0 in nanoseconds; where a rig has none, the time it
+            should have.
         images: (H, W) uint8 grey by camera, as recorded (distorted, unrectified), None where one is
             missing; in colour or with 16 bits only if `FrameStream.frames` was asked for that.
         depth: (H, W) float32 metres along the axis of camera 0, 0 where unknown; None without.
@@ -163,7 +164,7 @@ class Frame:
 
     @property
     def image0(self) -> Bytes:
-        """The image of camera 0, which is never missing."""
+        """The image of camera 0, which only frames of a rig may lack; see `with_image0`."""
         image = self.images[0]
         assert image is not None
         return image
@@ -172,6 +173,11 @@ class Frame:
     def image1(self) -> Bytes | None:
         """The image of camera 1, None where it is missing and with a single camera."""
         return self.images[1] if len(self.images) > 1 else None
+
+
+def with_image0(frames: Iterable[Frame]) -> Iterator[Frame]:
+    """Those frames that have an image of camera 0; of a rig, others may have a few without."""
+    return (frame for frame in frames if frame.images[0] is not None)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats, Ints, Rig
 from vo.engine.rig.creation import AnyOdometry
 from vo.outputs.results.folder import CAMERA, CAMERAS, write_atomically
+from vo.outputs.results.summary import mode_of
 from vo.recordings.formats.calibration import ImuCalibration, write_calibration
 from vo.recordings.formats.trajectory import pose_fields
 from vo.recordings.sources.source import FrameStream, Recording
@@ -23,14 +24,14 @@ _Stamps = Sequence[tuple[int, ...]] | None
 
 
 def write_camera_poses(folder: Path, odometry: AnyOdometry, stream: FrameStream) -> None:
-    """Write `cameras.csv` for a rig of more than two cameras, and the body where it is known.
+    """Write `cameras.csv` for a rig of cameras, and the body where it is known.
 
     The body is the inertial sensor. Cameras that are corrected are where they were found to be.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    if not stream.rig.further:
+    if mode_of(stream.rig) != "rig":
         return
     poses = odometry.corrected(stream.rig).cam0_from_cams
     mounted = {f"cam{number}": pose for number, pose in enumerate(poses)}

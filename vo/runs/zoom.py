@@ -14,7 +14,7 @@ import numpy as np
 
 from vo.base.config import Config
 from vo.base.records.focal_length import MAX_SIGMA, FocalLength, focal_change
-from vo.base.types import Camera, Frame, Ints, Rig
+from vo.base.types import Camera, Frame, Ints, Rig, with_image0
 from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.recordings.sources.rescaling import at_constant_focal_length
 from vo.recordings.sources.sequence import ImageSequence
@@ -85,7 +85,7 @@ def follow_focal_length(
 
 def _left_images(stream: ImageSequence, config: Config, options: RunOptions) -> Iterator[Frame]:
     stride = options.stride * config.tracking.every
-    for frame in stream.frames(options.start, options.end, stride):
+    for frame in with_image0(stream.frames(options.start, options.end, stride)):
         yield replace(frame, images=frame.images[:1], depth=None)
 
 

@@ -70,6 +70,31 @@ def test_missing_images_do_not_stop_it(walk: Walk) -> None:
     assert ate(path, walk.truth) < 0.004
 
 
+@pytest.mark.parametrize("missing", [range(1), range(12, 13), range(15, 35)])
+def test_frames_that_camera_0_lacks_have_poses(walk: Walk, missing: range) -> None:
+    def drop(frame: Frame) -> Frame:
+        is_missing = frame.index in missing
+        return replace(frame, images=(None, *frame.images[1:])) if is_missing else frame
+
+    estimates, path = track(walk.rig, edited(walk.frames, drop))
+    assert np.array_equal(path.stamps_ns, walk.truth.stamps_ns)
+    assert ate(path, walk.truth) < 0.005
+    kinds = [{fault.kind for fault in estimate.faults} for estimate in estimates]
+    told = [FaultKind.CAMERA_LEFT_OUT in each for each in kinds]
+    assert told == [index in missing for index in range(len(walk.frames))]
+
+
+def test_two_cameras_that_see_nothing_in_common_go_on_without_the_first(apart: Walk) -> None:
+    frames = [
+        replace(frame, images=(None, frame.images[1])) if 20 <= frame.index < 70 else frame
+        for frame in apart.frames
+    ]
+    estimates, path = track(apart.rig, frames)
+    assert all(estimate.state.has_pose for estimate in estimates[20:])
+    assert {estimate.segment for estimate in estimates} == {0}
+    assert ate(path, apart.truth, with_scale=True) < 0.02
+
+
 def test_all_black_frames_are_lost_and_found_again(walk: Walk) -> None:
     def black(frame: Frame) -> Frame:
         if not 15 <= frame.index < 18:
@@ -129,3 +154,17 @@ def test_a_program_gives_the_images_of_all_cameras(walk: Walk) -> None:
             odometry.track(frame.stamp_ns, left, right, further=further)
     assert np.array_equal(odometry.trajectory().world_from_cam, path.world_from_cam)
     assert odometry.summary().facts.mode == "rig"
+
+
+def test_a_program_may_lack_any_image(walk: Walk) -> None:
+    with vo.Odometry(walk.rig, overrides=["memory.loops=false"]) as odometry:
+        for frame in walk.frames[:8]:
+            left, right, *further = frame.images
+            here = [None if frame.index == n else i for n, i in enumerate((left, right), start=3)]
+            assert odometry.track(frame.stamp_ns, *here, further=further).state.has_pose
+        with pytest.raises(vo.InputError, match="left is None, and so are all others"):
+            odometry.track(walk.frames[8].stamp_ns, None)
+    assert odometry.summary().unpaired == 2
+    pair = walk.rig.first(2)
+    with vo.Odometry(pair) as odometry, pytest.raises(vo.InputError, match="left"):
+        odometry.track(0, None, walk.frames[0].images[1])

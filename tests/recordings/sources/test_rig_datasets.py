@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -122,10 +123,10 @@ def row(values: Floats) -> str:
     return " ".join(f"{value:.12e}" for value in values.ravel())
 
 
-def write_kitti_360(root: Path) -> Path:
+def write_kitti_360(root: Path, numbers: Sequence[int] = (0, 1, 3)) -> Path:
     drive = root / "data_2d_raw" / "2013_05_28_drive_0000_sync"
     for n, inside in enumerate(("data_rect", "data_rect", "data_rgb", "data_rgb")):
-        for i in (0, 1, 3):  # some images are missing
+        for i in numbers:  # some images are missing
             write_image(drive / f"image_{n:02d}" / inside / f"{i:010d}.png", image(i))
         lines = [f"2013-05-28 08:46:02.{100 * i:03d}352768" for i in range(5)]
         write_text(drive / f"image_{n:02d}" / "timestamps.txt", "\n".join(lines))

@@ -39,6 +39,8 @@ class RunningStretch:
 
     def to_8_bits(self, image: Pixels) -> Bytes:
         """(H, W) uint8 grey levels of a (H, W) uint16 image of any camera."""
+        if not self._has_range:  # camera 0 has given no image yet
+            self.update(image)
         values = np.arange(2**16, dtype=np.float64) - (self._middle - self._half)
         table = np.clip(values * (127.5 / self._half) + 0.5, 0.0, 255.0).astype(np.uint8)
         return np.asarray(table[image], dtype=np.uint8)

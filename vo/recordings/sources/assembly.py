@@ -17,6 +17,7 @@ import numpy as np
 from vo.base.errors import CalibrationError, NoCalibration, NoPairCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.cameras import equirectangular
+from vo.base.geometry.rig_overlap import overlaps
 from vo.base.types import Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import (
     Calibration,
@@ -40,13 +41,9 @@ from vo.recordings.sources.images import Pixels, StoredImage
 from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.listing import Shot, median_interval_ns
 from vo.recordings.sources.orientation import warn_of_turned
-from vo.recordings.sources.pairing import (
-    associate,
-    constant_offset_ns,
-    pair_by_stamp,
-    shifted,
-)
+from vo.recordings.sources.pairing import constant_offset_ns, pair_by_stamp, shifted
 from vo.recordings.sources.panorama import is_panorama
+from vo.recordings.sources.rig_frames import rig_frames
 from vo.recordings.sources.sequence import ImageSequence, ListedImages
 from vo.recordings.sources.series_content import warn_of_halves
 
@@ -114,7 +111,7 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     size = usual_size(contents.left, size, calibration.rig.cam0)
     check_size(calibration, calibration.rig.cam0, size, contents.left)
     rig = _choose_rig(contents, calibration, mode)
-    if rig.further:
+    if rig.further or (mode == "auto" and _are_apart(contents, rig)):
         return _assemble_rig(contents, calibration, rig, first)
     offset_ns = _right_offset(contents, rig)
     partners = _pair(contents, rig, mode, offset_ns)
@@ -146,29 +143,41 @@ def assemble(contents: RecordingContents, mode: Mode) -> ImageSequence:
     return sequence
 
 
+def _are_apart(contents: RecordingContents, rig: Rig) -> bool:
+    """Whether two cameras see nothing in common, by one clock: they are a rig, and no pair."""
+    if rig.cam1 is None or not contents.right or contents.right_offset_ns is not None:
+        return False
+    if overlaps(rig):
+        return False
+    interval_ns = median_interval_ns([shot.stamp_ns for shot in contents.left])
+    return abs(constant_offset_ns(contents.left, contents.right)) <= interval_ns
+
+
 def _assemble_rig(
     contents: RecordingContents, calibration: Calibration, rig: Rig, first: Pixels
 ) -> ImageSequence:
-    """A source of more than two cameras, each of which may have its own stamps."""
-    others, times, is_staggered = associate(
-        contents.left, _others(contents)[: len(rig.cameras) - 1]
-    )
-    first_ns = np.array([shot.stamp_ns for shot in contents.left], dtype=np.int64)
-    frame_ns = np.stack([first_ns, *(np.where(own < 0, first_ns, own) for own in times)], axis=1)
-    stamps_ns = list(map(tuple, frame_ns.tolist())) if is_staggered else None
-    levels = _grey_levels(contents, first, others[0])
+    """A source of any number of cameras, each of which may have its own stamps, and gaps."""
+    found = rig_frames(contents.left, _others(contents)[: len(rig.cameras) - 1])
+    frame_ns = np.array([shot.stamp_ns for shot in found.first], dtype=np.int64)
+    times = np.stack([np.where(own < 0, frame_ns, own) for own in found.stamps_ns], axis=1)
     sequence = ImageSequence(
         name=contents.name,
         format=contents.format,
         rig=rig,
         ground_truth=_truth(contents, calibration),
-        images=ListedImages(contents.left, others[0], levels, None, others[1:], stamps_ns),
+        images=ListedImages(
+            found.first,
+            found.others[0],
+            _grey_levels(contents, first, found.others[0]),
+            further=found.others[1:],
+            stamps_ns=list(map(tuple, times.tolist())) if found.is_staggered else None,
+            camera_stamps_ns=found.stamps_ns,
+        ),
         close=contents.close,
         imus=contents.find_imus(calibration),
     )
-    sequence.partner_stamps_ns = times
     sequence.faults += [*contents.faults, *_rate_faults(contents)]
-    _log.info("%s: %d frames of %d cameras", contents.name, len(contents.left), len(rig.cameras))
+    _log.info("%s: %d frames of %d cameras", contents.name, len(found.first), len(rig.cameras))
     return sequence
 
 

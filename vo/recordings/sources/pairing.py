@@ -18,7 +18,6 @@ _log = logging.getLogger(__name__)
 
 MAX_TOLERANCE_NS = 5_000_000
 """Maximum time difference of a stereo pair; a car at 30 m/s moves 15 cm in 5 ms."""
-_COMMON_TRIGGER_NS = 1_000_000
 _MIN_IMAGES = 5
 _MIN_PAIRED = 0.5  # ratio of images that are paired by their stamps: these are then right
 _MIN_CONSTANT = 0.9  # ratio of images that must have a partner at the constant offset
@@ -46,39 +45,6 @@ def pair_by_stamp(left: Sequence[Shot], right: Sequence[Shot]) -> list[StoredIma
     ]
     _warn_of_unpaired(len(right) - sum(p is not None for p in partners), len(right))
     return partners
-
-
-def associate(
-    first: Sequence[Shot], others: Sequence[Sequence[Shot]]
-) -> tuple[list[list[StoredImage | None]], list[Ints], bool]:
-    """Of other cameras of a rig the image at each image of the first, None where there is none.
-
-    Images belong together if they are mutual nearest neighbours in time and differ by at most half
-    the median interval of the first camera. The other results are the times (N,) of these images,
-    -1 without one, and whether the cameras have no common trigger: whether any differs by more than
-    1 ms from the first in most frames.
-    """
-    stamps = np.array([shot.stamp_ns for shot in first], dtype=np.int64)
-    most = median_interval_ns(stamps.tolist()) // 2 or MAX_TOLERANCE_NS
-    images: list[list[StoredImage | None]] = []
-    times: list[Ints] = []
-    is_staggered = False
-    for shots in others:
-        if not shots:
-            images.append([None] * len(first))
-            times.append(np.full_like(stamps, -1))
-            continue
-        own = np.array([shot.stamp_ns for shot in shots], dtype=np.int64)
-        of_first, of_own = nearest(stamps, own), nearest(own, stamps)
-        close = np.abs(own[of_first] - stamps) <= most
-        is_found = close & (of_own[of_first] == np.arange(len(first)))
-        images.append(
-            [shots[j].image if ok else None for j, ok in zip(of_first, is_found, strict=True)]
-        )
-        apart = np.abs(own[of_first] - stamps)[is_found]
-        is_staggered |= bool(len(apart)) and float(np.median(apart)) > _COMMON_TRIGGER_NS
-        times.append(np.where(is_found, own[of_first], -1))
-    return images, times, is_staggered
 
 
 def tolerance_ns(stamps_left: Ints) -> int:

@@ -26,6 +26,7 @@ from vo.recordings.sources.grey_levels import GreyLevels
 from vo.recordings.sources.images import ImageFile, ImageKind, Pixels, StoredImage
 from vo.recordings.sources.imu import Imu
 from vo.recordings.sources.listing import Shot
+from vo.recordings.sources.rig_frames import MissingImage
 
 _log = logging.getLogger(__name__)
 
@@ -46,6 +47,8 @@ class ListedImages(NamedTuple):
         right: right image of each, None where it is missing; None in mono.
         further: the same of cam2, cam3 and so on.
         stamps_ns: of each, the times of the images by camera; None with a common trigger.
+        camera_stamps_ns: of all cameras of a rig, (N,) the recorded times of their images, -1
+            without one; empty for one camera or a pair, whose frames all have a left image.
     """
 
     left: Sequence[Shot]
@@ -54,6 +57,7 @@ class ListedImages(NamedTuple):
     depth: DepthImages | None = None
     further: Sequence[Sequence[StoredImage | None]] = ()
     stamps_ns: Sequence[tuple[int, ...]] | None = None
+    camera_stamps_ns: Sequence[Ints] = ()
 
 
 class ImageSequence:
@@ -66,8 +70,7 @@ class ImageSequence:
             than one camera or depth.
         right_offset_ns: added to the stamps of right images before they were paired.
         image_stamps_ns: of each frame the times of its images; None with a common trigger.
-        partner_stamps_ns: of cam1 and all further cameras of a rig, (N,) the recorded times of
-            their images, -1 without one.
+        camera_stamps_ns: see `ListedImages`.
         rescale: applied to each frame, see `vo.recordings.sources.rescaling`.
     """
 
@@ -95,11 +98,11 @@ class ImageSequence:
         self.imus = tuple(imus)
         self.faults: list[Fault] = []
         self.right_offset_ns = 0
-        self.partner_stamps_ns: Sequence[Ints] = ()
         self._left = list(images.left)
         self._right = None if images.right is None else list(images.right)
         self._further = images.further
         self.image_stamps_ns = images.stamps_ns
+        self.camera_stamps_ns = images.camera_stamps_ns
         self._levels = images.levels
         self._depth = images.depth
         self._close = close
@@ -113,7 +116,8 @@ class ImageSequence:
     @property
     def first_image(self) -> StoredImage:
         """The first image of cam0, as stored."""
-        return self._left[0].image
+        own_ns = [*self.camera_stamps_ns, self.stamps_ns][0]
+        return self._left[int(np.argmax(own_ns >= 0))].image
 
     @property
     def stamps_ns(self) -> Ints:
@@ -125,7 +129,8 @@ class ImageSequence:
     ) -> Iterator[Frame]:
         """Read frames start, start + stride, … below end.
 
-        Unreadable frames are left out, with a warning and an entry in `skipped`.
+        Unreadable frames are left out, with a warning and an entry in `skipped`. Those of a rig
+        may have the images of other cameras only, see `vo.base.types.with_image0`.
         """
         if self._next_frames is not None:
             select_frames(start + 1, start, end, stride)
@@ -181,29 +186,47 @@ class ImageSequence:
             for index, image0, others, measured in self._prefetch(readers, numbers, kind):
                 shot = self._left[index]
                 try:
-                    left = image0.result()
+                    images = self._images_of(index, image0, others, losses)
                 except SourceError as error:
                     losses.add("skipped", index, error)
                     self.skipped.append(Skipped(index, shot.stamp_ns, str(error)))
                     continue
-                images = [
-                    losses.result(image, f"used without its {name} image", index)
-                    for image, name in zip(others, self._names(), strict=True)
-                ]
                 depth = losses.result(measured, "used without its depth image", index)
                 if depth is None and self.rig.is_metric and any(each is None for each in images):
                     self.unpaired += 1
                 path = shot.image.path if isinstance(shot.image, ImageFile) else None
                 # Images of kind `recorded` may be uint16.
-                recorded = cast("tuple[Bytes | None, ...]", (left, *images))
+                recorded = cast("tuple[Bytes | None, ...]", images)
                 stamps = None if self.image_stamps_ns is None else self.image_stamps_ns[index]
                 frame = Frame(index, shot.stamp_ns, recorded, depth, path, stamps_ns=stamps)
                 yield frame if self.rescale is None else self.rescale(frame)
 
+    def _images_of(
+        self, index: int, image0: _Image, others: Sequence[_Image | None], losses: _Losses
+    ) -> tuple[Pixels | None, ...]:
+        """The images of a frame; raises `SourceError` if it cannot be used."""
+        left, reason = None, None
+        try:
+            left = image0.result()
+        except SourceError as error:
+            reason = error
+            if not self.camera_stamps_ns:
+                raise
+        images = [
+            losses.result(image, f"used without its {name} image", index)
+            for image, name in zip(others, self._names(), strict=True)
+        ]
+        if reason is not None:
+            if all(each is None for each in images):
+                raise reason
+            if not isinstance(self._left[index].image, MissingImage):
+                losses.add("used without its cam0 image", index, reason)
+        return left, *images
+
     def _names(self) -> list[str]:
         """What cam1 and the further cameras are called."""
         further = [f"cam{number}" for number in range(2, len(self._further) + 2)]
-        return ["cam1" if further else "right", *further]
+        return ["cam1" if self.camera_stamps_ns else "right", *further]
 
     def _prefetch(
         self,

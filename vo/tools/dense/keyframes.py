@@ -16,7 +16,7 @@ from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.rectification_maps import displaced_maps, wide_maps
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.images.recorded_masks import read_masks
-from vo.base.types import Bools, Bytes, Floats, Floats32, Frame
+from vo.base.types import Bools, Bytes, Floats, Floats32, Frame, with_image0
 from vo.outputs.report.run_folder import RunRecord
 from vo.recordings.sources.source import Recording
 from vo.tools.reopening import poses_of, recording_of
@@ -98,7 +98,7 @@ class RunKeyframes:
         row = first
         stride = int(np.gcd.reduce(np.diff(self.frames))) if len(self.frames) > 1 else 1
         stream = self._stream.frames(self.frames[first], self.frames[-1] + 1, stride, "colour")
-        for frame in stream:
+        for frame in with_image0(stream):
             while row < len(self.frames) and self.frames[row] < frame.index:
                 row += 1
             if row < len(self.frames) and self.frames[row] == frame.index:

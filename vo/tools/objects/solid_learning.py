@@ -10,7 +10,7 @@ import numpy as np
 
 from vo.base.errors import InputError
 from vo.base.geometry.transforms import inverse
-from vo.base.types import Bytes, Camera, Descriptors, Floats, Floats32, Ints
+from vo.base.types import Bytes, Camera, Descriptors, Floats, Floats32, Ints, with_image0
 from vo.engine.frontend.contracts import FeatureExtractor
 from vo.engine.geometry.epipolar import fundamental_from_motion
 from vo.outputs.report.run_folder import RunRecord, read_run
@@ -151,7 +151,7 @@ def _spread(away: Floats) -> Ints:
 
 def _images(recording: Recording, frames: Ints, camera: Camera) -> Iterator[Bytes]:
     wanted = set(frames.tolist())
-    for frame in recording.frames(int(frames[0]), int(frames[-1]) + 1):
+    for frame in with_image0(recording.frames(int(frames[0]), int(frames[-1]) + 1)):
         if frame.index in wanted:
             yield undistorted(frame.image0, camera)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from vo.base.errors import ConfigError, OutputError, SourceError
 from vo.base.geometry.transforms import inverse, make_transform, rotation_from_quat_xyzw
-from vo.base.types import Bytes, Camera, Floats
+from vo.base.types import Bytes, Camera, Floats, with_image0
 from vo.outputs.report.run_folder import RunRecord, read_run
 from vo.recordings.formats.mesh import Mesh, read_mesh
 from vo.recordings.sources.source import Recording
@@ -239,7 +239,7 @@ class _Painter:
     ) -> Iterator[Bytes]:
         """Images of frames with a pose, with the model."""
         step = min(np.diff(frames).tolist(), default=1)
-        for frame in stream.frames(frames[0], frames[-1] + 1, step, images="colour"):
+        for frame in with_image0(stream.frames(frames[0], frames[-1] + 1, step, images="colour")):
             if frame.index not in poses:
                 continue
             image = frame.image0
