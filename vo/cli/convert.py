@@ -106,11 +106,13 @@ def _convert(
 
 
 def _facts(made: Recording, output: Path, settings: Conversion) -> dict[str, Any]:
+    from vo.outputs.results.summary import mode_of
+
     return {
         "output": str(output),
         "format": settings.format,
         "codec": settings.codec,
-        "mode": ("mono", "stereo", "rig")[min(len(made.rig.cameras), 3) - 1],
+        "mode": mode_of(made.rig) if made.rig.is_stereo else "mono",
         "cameras": len(made.rig.cameras),
         "frames": len(made.stamps_ns[0]),
         "width": made.rig.cam0.width,

@@ -167,10 +167,12 @@ def _render(recipe: Recipe, output: Path, force: bool, console: Console) -> Reco
 
 
 def _facts(recording: Recording, output: Path, recipe: Recipe) -> dict[str, Any]:
+    from vo.outputs.results.summary import mode_of
+
     return {
         "output": str(output),
         "format": recipe.format,
-        "mode": ("mono", "stereo", "rig")[min(len(recording.rig.cameras), 3) - 1],
+        "mode": mode_of(recording.rig) if recording.rig.is_stereo else "mono",
         "cameras": len(recording.rig.cameras),
         "frames": len(recording),
         "seconds": recipe.seconds,

@@ -408,21 +408,30 @@ def test_depth_in_another_frame_is_ignored(tmp_path: Path) -> None:
     assert not open_source(path).rig.has_depth
 
 
-def test_error_for_cameras_with_different_viewing_directions(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("lost", [None, 2])
+def test_cameras_that_look_in_different_directions_are_no_pair(
+    tmp_path: Path, lost: int | None
 ) -> None:
+    apart = se3_exp(np.array([0, np.pi * 0.9, 0, 0.1, 0, 0]))
+    rear, missing = images("/rear/image", "b"), [] if lost is None else [lost]
     path = log(
         tmp_path,
         images("/front/image", "a"),
-        images("/rear/image", "b"),
+        (part for number, part in enumerate(rear) if number != lost),
         calibration("/front/camera_info", "a"),
         calibration("/rear/camera_info", "b"),
-        fixed(("b", "a", se3_exp(np.array([0, np.pi * 0.9, 0, 0.1, 0, 0])))),
+        fixed(("b", "a", apart)),
     )
-    assert not open_source(path).rig.is_stereo
-    first, second = (record.getMessage() for record in caplog.records)
-    assert "/front/image is used as the left camera and /rear/image as the right one" in first
-    assert "differ by 162 degrees, too much for a stereo pair" in second
+    topics = ["/front/image", "/rear/image"]
+    with pytest.raises(CalibrationError, match="differ by 162 degrees, too much for a stereo pair"):
+        open_source(path, mode="stereo", topics=topics)
+    for source in (open_source(path), open_source(path, topics=topics)):
+        np.testing.assert_allclose(source.rig.cam1_from_cam0, apart, atol=1e-9)
+        frames = list(source.frames())
+        assert [n for n, frame in enumerate(frames) if frame.images[1] is None] == missing
+    turned = open_source(path, topics=topics[::-1])
+    np.testing.assert_allclose(turned.rig.cam1_from_cam0, np.linalg.inv(apart), atol=1e-9)
+    assert [n for n, frame in enumerate(turned.frames()) if frame.images[0] is None] == missing
 
 
 @pytest.mark.parametrize("odd", [0, 3])

@@ -57,7 +57,7 @@ def choose_topics(
     """The topics given by the user, or else those detected by their names.
 
     `options`: values of `--topic`: `left=/a`, `right=/b`, `truth=/c`, `imu=/d`, or names of the
-    cameras in their order. `may_be_rig`: whether more than two may be detected in `auto`.
+    cameras in their order. `may_be_rig`: whether other than a pair may be detected in `auto`.
     """
     named, given = _parse(options)
     images = [topic for topic in topics if issubclass(topic.codec.kind, IMAGE_KINDS)]
@@ -72,7 +72,7 @@ def choose_topics(
         further = tuple(_by_name(images, name) for name in given)
         return ChosenTopics(_by_name(images, named["left"]), right, truth, imu, further)
     cameras = _one_topic_per_camera(images)
-    may_be_rig &= mode == "auto" and len(cameras) > 2
+    may_be_rig &= mode == "auto" and len(cameras) > 1
     try:
         left, right = _detect_pair(cameras, mode)
     except SourceError as error:
@@ -178,7 +178,7 @@ def _detect_pair(cameras: list[Topic], mode: Mode) -> tuple[Topic, Topic | None]
     if len(cameras) == 1:
         return cameras[0], None
     if not pairs and len(cameras) == 2 and mode != "mono" and _are_similar(*cameras):
-        a, b = cameras
+        a, b = sorted(cameras, key=_is_aside)
         _log.warning(
             "%s is used as the left camera and %s as the right one; if this is wrong, choose with "
             "`topics`",

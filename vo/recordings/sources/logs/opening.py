@@ -33,7 +33,13 @@ from vo.recordings.sources.logs.realsense_bag import (
     stream_of,
     stream_transforms,
 )
-from vo.recordings.sources.logs.rig import LogCamera, cam0_from_cam, cam1_from_cam0, find_camera
+from vo.recordings.sources.logs.rig import (
+    LogCamera,
+    are_apart,
+    cam0_from_cam,
+    cam1_from_cam0,
+    find_camera,
+)
 from vo.recordings.sources.sequence import ImageSequence
 
 _log = logging.getLogger(__name__)
@@ -58,14 +64,14 @@ def open_log(
     choice = choose_topics(log.topics, topics, mode, may_be_rig=may_be_rig)
     opened = ChosenLog(log, choice)
     own = None
-    if may_be_rig and mode == "auto" and choice.further:
+    if may_be_rig and mode == "auto" and (choice.further or choice.doubt):
         choice, own = opened.rig_of_log()
     faults: list[Fault] = []
     _log.info("%s: images of %s", log.path, " and ".join(t.name for t in choice.cameras))
     left = list_images(log, choice.left, opened.entries[choice.left.name], faults)
     if own is None and calibration is None:
         try:
-            own = opened.calibration_of_log(mode)
+            own = opened.calibration_of_log(mode, may_be_apart=is_rig and mode == "auto")
         except NoCalibration as error:
             raise no_calibration(error, choice.right is not None, mode) from error
     right = None
@@ -118,7 +124,7 @@ class ChosenLog:
         self._frames: FrameTree = read_frame_tree(log, listed)
         self._frames.add(stream_transforms(log, log.topics, self.entries))
 
-    def calibration_of_log(self, mode: Mode) -> Calibration:
+    def calibration_of_log(self, mode: Mode, *, may_be_apart: bool) -> Calibration:
         """Calibration of one or two cameras; an uncalibrated right one is left out in `auto`."""
         is_one = self._choice.right is None or mode == "mono"
         left = self._camera(self._choice.left)
@@ -126,7 +132,7 @@ class ChosenLog:
             return Calibration(Rig(left.camera), depth_per_metre=DEPTH_UNITS_PER_METRE)
         try:
             right = self._camera(self._choice.right)
-            transform = cam1_from_cam0(left, right, self._frames)
+            transform = cam1_from_cam0(left, right, self._frames, may_be_apart=may_be_apart)
         except CalibrationError as error:
             if mode == "stereo":
                 raise
@@ -135,10 +141,10 @@ class ChosenLog:
         return Calibration(Rig(left.camera, right.camera, transform))
 
     def rig_of_log(self) -> tuple[ChosenTopics, Calibration | None]:
-        """The cameras whose poses are known, and their calibration; None for two or fewer.
+        """The cameras whose poses are known, and their calibration; None for a pair or one camera.
 
         Raises:
-            SourceError: there are no more than two, and names do not say which are a pair.
+            SourceError: they are no rig, and names do not say which are a pair.
         """
         choice, reasons = self._choice, []
         found: list[tuple[Topic, LogCamera, Floats]] = []
@@ -149,7 +155,8 @@ class ChosenLog:
                 found.append((topic, camera, cam0_from_cam(first, camera, self._frames)))
             except CalibrationError as error:
                 reasons.append(f"{topic.name} is not used: {error}")
-        if len(found) < 3 or found[0][0] is not choice.left:
+        is_rig = len(found) > 2 or (bool(choice.doubt) and are_apart([pose for *_, pose in found]))
+        if not is_rig or found[0][0] is not choice.left:
             if choice.doubt:
                 raise SourceError(choice.doubt)
             return choice, None

@@ -105,8 +105,13 @@ def find_camera(
     )
 
 
-def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floats:
-    """Extrinsics of the right camera, from the frame tree or from the rectification."""
+def cam1_from_cam0(
+    left: LogCamera, right: LogCamera, frames: FrameTree, *, may_be_apart: bool = False
+) -> Floats:
+    """Extrinsics of the right camera, from the frame tree or from the rectification.
+
+    `may_be_apart`: whether the cameras may look in any directions; else they must suit a pair.
+    """
     by_projection = _from_projections(left, right)
     by_frames = None
     if left.frame and right.frame and left.frame != right.frame:
@@ -122,12 +127,13 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
             f"'{left.frame}' to '{right.frame}', and {_no_shift(left, right)}; "
             "give a file with `calibration=FILE`, or use `mode=mono`"
         )
-    cosine = max(float(found[2, 2]), -1.0)
-    if cosine < _MIN_COSINE:
+    if are_apart([np.eye(4), found]):
+        if may_be_apart:
+            return np.asarray(inverse(cam0_from_cam(left, right, frames)))
+        angle_deg = np.degrees(np.arccos(max(float(found[2, 2]), -1.0)))
         raise CalibrationError(
-            f"the optical axes of {left.topic} and {right.topic} differ by "
-            f"{np.degrees(np.arccos(cosine)):.0f} degrees, too much for a stereo pair; choose "
-            "other topics, or one with `topics`"
+            f"the optical axes of {left.topic} and {right.topic} differ by {angle_deg:.0f} "
+            "degrees, too much for a stereo pair; choose other topics, or one with `topics`"
         )
     check_baseline(f"{left.topic} and {right.topic}", found)
     if found is by_projection and found[0, 3] > 0.0:
@@ -138,6 +144,11 @@ def cam1_from_cam0(left: LogCamera, right: LogCamera, frames: FrameTree) -> Floa
             left.topic,
         )
     return found
+
+
+def are_apart(cam0_from_cams: Sequence[Floats]) -> bool:
+    """Whether two cameras look in directions too different for a pair."""
+    return len(cam0_from_cams) == 2 and float(cam0_from_cams[1][2, 2]) < _MIN_COSINE
 
 
 def cam0_from_cam(first: LogCamera, camera: LogCamera, frames: FrameTree) -> Floats:
