@@ -1,12 +1,9 @@
-"""Bundle adjustment of a window of keyframes with GTSAM.
+"""Bundle adjustment of a window of keyframes.
 
 Keyframes that have left the window stay as fixed poses with their observations, so that neither
 scale nor heading can drift at the window's edge (Mur-Artal 2015, sec. VI-D).
 
-The observations are one factor on all free poses, from which the landmarks are eliminated: with one
-factor for each of some six thousand observations, building and linearising the graph takes GTSAM
-about ten times as long for the same optimum (docs/experiments/one-factor-per-window.md). Further
-factors of the window are added to the same graph.
+Landmarks are eliminated, so that the free poses are the only variables.
 """
 
 from __future__ import annotations
@@ -14,22 +11,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-import gtsam
 import numpy as np
 
+from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
 from vo.base.types import Bools, Floats
-from vo.engine.backend.bundle import Bundle, NormalEquations
+from vo.engine.backend.bundle import Bundle
+from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
-
-# Eigenvalue of the hessian, relative to the greatest, below which a direction is not determined.
-_UNDETERMINED = 1e-13
-# Pivot of the hessian's root, relative to the greatest, above which all directions are determined.
-_MIN_PIVOT = 1e-5
-_INITIAL_LAMBDA = 1e-4  # of Levenberg and Marquardt
 
 
 class AdjustedWindow(NamedTuple):
@@ -55,169 +47,65 @@ def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWi
         return None
     weighted = replace(with_measured_noise(problem), fixed=gauge.held)
     bundle = Bundle(weighted, point_ok, config)
-    graph = _Graph(problem, gauge, bundle)
-    values = graph.optimise(config)
-    world_from_cam = graph.poses(values)
+    states: dict[int, Floats] = {}
+    information = None
+    if problem.factors:
+        from vo.engine.backend.window_graph import WindowGraph  # importing GTSAM takes long
+
+        graph = WindowGraph(problem, gauge, bundle)
+        values = graph.optimise(config)
+        world_from_cam, states = graph.poses(values), graph.states(values)
+        information = graph.information(values)
+    else:
+        world_from_cam = _Window(problem, gauge, bundle).optimise(config)
     points = bundle.points_for(world_from_cam)
     if not (np.isfinite(world_from_cam).all() and np.isfinite(points[point_ok]).all()):
         return None
     _, depth = residuals(problem, world_from_cam, points)
     point_ok[problem.point[~(depth > 0)]] = False
-    states, information = graph.states(values), graph.information(values)
     return AdjustedWindow(world_from_cam, points, point_ok, states, information)
 
 
-class _Graph:
-    """Factor graph of a window. Keys of poses are their rows.
-
-    Held poses are no variables; only further factors need them in the graph, as constraints.
-    """
+class _Window:
+    """The free poses of a window as variables."""
 
     def __init__(self, problem: WindowProblem, gauge: Gauge, bundle: Bundle) -> None:
-        self._problem = problem
         self._start = problem.world_from_cam
-        self._free: list[int] = np.flatnonzero(~gauge.held).tolist()
-        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for k in self._free:
-            self._values.insert(k, gtsam.Pose3(self._start[k]))
-        self._graph.add(self._bundle_factor(bundle))
-        if gauge.scaled is not None:
-            noise = gtsam.noiseModel.Diagonal.Sigmas(gauge.sigmas)
-            pose = gtsam.Pose3(self._start[gauge.scaled])
-            self._graph.add(gtsam.PriorFactorPose3(gauge.scaled, pose, noise))
-        self._further = gtsam.NonlinearFactorGraph()
-        if problem.factors:
-            self._add_factors(np.flatnonzero(gauge.held).tolist())
+        self._free = np.flatnonzero(~gauge.held)
+        self._bundle = bundle
+        self._scaled = gauge.scaled
+        self._information = gauge.sigmas**-2.0
 
-    def optimise(self, config: SmoothingConfig) -> gtsam.Values:
-        """Minimise by Levenberg and Marquardt."""
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setMaxIterations(config.iterations)
-        parameters.setRelativeErrorTol(config.relative_error_tolerance)
-        parameters.setlambdaInitial(_INITIAL_LAMBDA)
-        optimizer = gtsam.LevenbergMarquardtOptimizer(self._graph, self._values, parameters)
-        return optimizer.optimize()
+    def optimise(self, config: SmoothingConfig) -> Floats:
+        """Minimise by Levenberg and Marquardt: (K, 4, 4) poses, the held ones unchanged."""
+        return minimise(self, self._start, config, damping=np.ones(6 * len(self._free)))
 
-    def poses(self, values: gtsam.Values) -> Floats:
-        """(K, 4, 4) poses, the held ones unchanged."""
-        return _poses(self._start, self._free, values)
+    def cost(self, state: Floats) -> float:
+        """Half the squared errors."""
+        off = self._off(state)
+        return self._bundle.cost(state) + 0.5 * float(off @ (self._information * off))
 
-    def states(self, values: gtsam.Values) -> dict[int, Floats]:
-        """Further states by key: vectors, or poses as (4, 4)."""
-        if not self._problem.factors:
-            return {}
-        keys = [key for key in _keys(values) if key >= len(self._start)]
-        return {key: _state(values, key) for key in keys}
+    def equations(self, state: Floats) -> tuple[Floats, Floats]:
+        """Hessian and gradient of the cost."""
+        hessian, gradient, _ = self._bundle.normal_equations(state)
+        if self._scaled is not None:
+            at = 6 * int(np.searchsorted(self._free, self._scaled)) + np.arange(6)
+            hessian[at, at] += self._information
+            gradient[at] += self._information * self._off(state)
+        return hessian, gradient
 
-    def information(self, values: gtsam.Values) -> Floats | None:
-        """(6 K, 6 K) of the further factors on the poses, their states eliminated."""
-        if self._further.empty():
-            return None
-        count = len(self._start)
-        keys = sorted(self._further.keyVector())  # poses first
-        poses = [key for key in keys if key < count]
-        ordering = gtsam.Ordering()
-        for key in keys:
-            ordering.push_back(key)
-        hessian, _ = self._further.linearize(values).hessian(ordering)
-        rows = np.concatenate([np.arange(6 * key, 6 * key + 6) for key in poses])
-        information = np.zeros((6 * count, 6 * count))
-        information[np.ix_(rows, rows)] = _schur_complement(np.asarray(hessian), len(rows))
-        return information
+    def moved(self, state: Floats, step: Floats) -> Floats:
+        """The poses after a step."""
+        poses: Floats = state.copy()
+        for k, tangent in zip(self._free.tolist(), step.reshape(-1, 6), strict=True):
+            poses[k] = orthonormalised(poses[k] @ se3_exp(tangent))
+        return poses
 
-    def _add_factors(self, held: list[int]) -> None:
-        """Add the further factors, and the held poses that they may refer to."""
-        exact = gtsam.noiseModel.Constrained.All(6)
-        for k in held:
-            pose = gtsam.Pose3(self._start[k])
-            self._values.insert(k, pose)
-            self._graph.add(gtsam.PriorFactorPose3(k, pose, exact))
-        for factor in self._problem.factors:
-            factor.add_to(self._further, self._values, int)
-        self._graph.push_back(self._further)
-
-    def _bundle_factor(self, bundle: Bundle) -> gtsam.CustomFactor:
-        """All observations as one factor on the free poses; its squared error is the cost.
-
-        It must not refer to this object, which has the graph with the factor: Python finds no
-        cycles through GTSAM, and each window would stay in memory.
-        """
-        start, free = self._start, self._free
-        rows = 6 * len(free) + 1
-
-        def error(
-            _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Floats] | None
-        ) -> Floats:
-            poses = _poses(start, free, values)
-            if jacobians is None:
-                length = np.sqrt(2.0 * bundle.cost(poses))
-                return np.append(np.zeros(rows - 1), length)
-            root, whitened = _square_root(bundle.normal_equations(poses))
-            for i in range(len(free)):
-                jacobians[i] = np.vstack([root[:, 6 * i : 6 * i + 6], np.zeros((1, 6))])
-            return whitened
-
-        return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(rows), free, error)
-
-
-def _poses(start: Floats, free: list[int], values: gtsam.Values) -> Floats:
-    """(K, 4, 4) poses, those that are not free unchanged."""
-    poses: Floats = start.copy()
-    for k in free:
-        poses[k] = values.atPose3(k).matrix()
-    return poses
-
-
-def _keys(values: gtsam.Values) -> list[int]:
-    return list(values.keys())  # noqa: SIM118 (not a dict)
-
-
-def _state(values: gtsam.Values, key: int) -> Floats:
-    try:
-        return np.asarray(values.atVector(key))
-    except RuntimeError:  # GTSAM's way to say that it is of another type
-        return np.asarray(values.atPose3(key).matrix())
-
-
-def _schur_complement(hessian: Floats, size: int) -> Floats:
-    """Information on the first `size` variables, the others eliminated."""
-    kept, coupling, other = hessian[:size, :size], hessian[:size, size:], hessian[size:, size:]
-    return np.asarray(kept - coupling @ np.linalg.pinv(other, hermitian=True) @ coupling.T)
-
-
-def _square_root(normal: NormalEquations) -> tuple[Floats, Floats]:
-    """Jacobian J (6 F + 1, 6 F) without its zero last row, and errors e (6 F + 1,).
-
-    J^T J is the hessian of the poses, J^T e[:-1] their gradient; the last error, which no pose
-    changes, makes half the sum of squares the cost. Eigenvalues are used where the hessian leaves a
-    direction undetermined, as in mono the scale.
-    """
-    factor = _triangular(normal.hessian)
-    if factor is not None:
-        error = np.asarray(np.linalg.solve(factor, normal.gradient), dtype=np.float64)
-        return factor.T, np.r_[error, _constant_error(normal, error)]
-    values, vectors = np.linalg.eigh(normal.hessian)
-    determined = values > _UNDETERMINED * values[-1]
-    root = np.where(determined, np.sqrt(np.maximum(values, 0.0)), 0.0)
-    with np.errstate(divide="ignore"):
-        inverse_root = np.where(determined, 1.0 / root, 0.0)
-    error = np.asarray(inverse_root * (vectors.T @ normal.gradient), dtype=np.float64)
-    return root[:, None] * vectors.T, np.r_[error, _constant_error(normal, error)]
-
-
-def _triangular(hessian: Floats) -> Floats | None:
-    """The lower triangle L with L L^T = hessian; None if a direction is hardly determined."""
-    try:
-        factor = np.asarray(np.linalg.cholesky(hessian), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return None
-    pivots = np.diag(factor)
-    return factor if pivots.min() > _MIN_PIVOT * pivots.max() else None
-
-
-def _constant_error(normal: NormalEquations, error: Floats) -> float:
-    """The component of the error that no pose changes."""
-    return float(np.sqrt(max(2.0 * normal.cost - float(error @ error), 0.0)))
+    def _off(self, state: Floats) -> Floats:
+        """(6,) what the pose with a prior is off its start."""
+        if self._scaled is None:
+            return np.zeros(6)
+        return se3_log(inverse(self._start[self._scaled]) @ state[self._scaled])
 
 
 def well_observed(problem: WindowProblem) -> Bools:

@@ -15,13 +15,13 @@ from vo.base.geometry.transforms import adjoint, inverse, orthonormalised, se3_e
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
 from vo.engine.backend.bundle_adjustment import well_observed
+from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Ties, WindowProblem
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
 
-_INITIAL_LAMBDA, _LAMBDA_FACTOR, _MAX_TRIES = 1e-4, 10.0, 5  # of Levenberg and Marquardt
 _SCALE_SIGMA = 0.02  # of the distance of the farthest body, where nothing else gives the scale
 
 
@@ -114,32 +114,25 @@ class _RigWindow:
 
     def optimise(self) -> _State:
         """Minimise by Levenberg and Marquardt."""
-        state, damping = _State(self._start.copy(), 0.0), _INITIAL_LAMBDA
-        cost = self._cost(state)
-        for _ in range(self._config.iterations):
-            normal = self.bundle.normal_equations(self.poses(state))
-            hessian, gradient = self._reduced(normal)
-            off = self._off(state)
-            hessian[np.diag_indices_from(hessian)] += self._prior
-            gradient += self._prior * off
-            for _ in range(_MAX_TRIES):
-                damped = hessian + np.diag(damping * np.diag(hessian) + 1e-12)
-                try:
-                    step = -np.linalg.solve(damped, gradient)
-                except np.linalg.LinAlgError:
-                    return state
-                trial = self._moved(state, np.asarray(step))
-                new = self._cost(trial)
-                if new < cost:
-                    break
-                damping *= _LAMBDA_FACTOR
-            else:
-                return state
-            decrease, state, cost = cost - new, trial, new
-            damping /= _LAMBDA_FACTOR
-            if decrease < self._config.relative_error_tolerance * cost:
-                break
-        return state
+        return minimise(self, _State(self._start.copy(), 0.0), self._config)
+
+    def cost(self, state: _State) -> float:
+        """Half the squared errors."""
+        by_prior = 0.5 * float(self._prior @ self._off(state) ** 2)
+        return self.bundle.cost(self.poses(state)) + by_prior
+
+    def equations(self, state: _State) -> tuple[Floats, Floats]:
+        """Hessian and gradient of the cost."""
+        hessian, gradient = self._reduced(self.bundle.normal_equations(self.poses(state)))
+        hessian[np.diag_indices_from(hessian)] += self._prior
+        return hessian, gradient + self._prior * self._off(state)
+
+    def moved(self, state: _State, step: Floats) -> _State:
+        """The state after a step."""
+        bodies = state.bodies.copy()
+        for n, k in enumerate(self._free.tolist()):
+            bodies[k] = orthonormalised(bodies[k] @ se3_exp(step[6 * n : 6 * n + 6]))
+        return _State(bodies, state.metre + (0.0 if self._ties.lever is None else float(step[-1])))
 
     def _reduced(self, normal: NormalEquations) -> tuple[Floats, Floats]:
         """Hessian and gradient of the variables."""
@@ -174,16 +167,6 @@ class _RigWindow:
         off[:, 3:] = moved[:, :3, 3]
         metre = [] if self._ties.lever is None else [state.metre]
         return np.concatenate([off.ravel(), metre])
-
-    def _cost(self, state: _State) -> float:
-        by_prior = 0.5 * float(self._prior @ self._off(state) ** 2)
-        return self.bundle.cost(self.poses(state)) + by_prior
-
-    def _moved(self, state: _State, step: Floats) -> _State:
-        bodies = state.bodies.copy()
-        for n, k in enumerate(self._free.tolist()):
-            bodies[k] = orthonormalised(bodies[k] @ se3_exp(step[6 * n : 6 * n + 6]))
-        return _State(bodies, state.metre + (0.0 if self._ties.lever is None else float(step[-1])))
 
 
 def _by_metre(ties: Ties) -> Floats:

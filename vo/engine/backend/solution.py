@@ -11,6 +11,7 @@ from vo.base.geometry.quantiles import median
 from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
+from vo.engine.backend.bundle_adjustment import AdjustedWindow, adjust_window
 from vo.engine.backend.calibration_residual import estimate_calibration_residual
 from vo.engine.backend.information import pose_information
 from vo.engine.backend.linearisation import linearise
@@ -19,7 +20,6 @@ from vo.engine.backend.window_problem import Ties, WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
-    from vo.engine.backend.bundle_adjustment import AdjustedWindow
     from vo.engine.backend.rig_extrinsics import ExtrinsicEvidence
 
 # Residuals say how large the errors of this recording are (the variance of unit weight): rooms have
@@ -60,8 +60,6 @@ def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
     """Optimise a window in this process."""
     if problem.ties is not None:
         return _solve_rig(problem, problem.ties, config)
-    from vo.engine.backend.bundle_adjustment import adjust_window  # importing GTSAM takes long
-
     adjusted = adjust_window(problem, config)
     if adjusted is None:
         return unsolved(problem)
