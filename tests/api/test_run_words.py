@@ -29,7 +29,7 @@ def test_every_option_of_the_command_is_a_word() -> None:
     command = CommandFunction(command_function("run")).__signature__.parameters
     named = {_IN_PYTHON.get(name, name) for name in command} - {None}
     assert named - words == set()
-    internal = {"profile_since", "optimizer_process", "flags"}
+    internal = {"profile_since", "flags"}
     assert {field.name for field in fields(RunOptions)} - internal - words == set()
 
 

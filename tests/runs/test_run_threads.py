@@ -14,8 +14,6 @@ import pytest
 
 from vo.base.config import load_config
 from vo.base.types import Estimate
-from vo.engine.backend.process import OptimizerProcess
-from vo.engine.backend.window_problem import WindowProblem
 from vo.runs.run_recording import run
 
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
@@ -43,26 +41,6 @@ def test_a_busy_machine_makes_no_difference(synthetic_stereo: Path, tmp_path: Pa
         for process in busy:
             process.kill()
             process.wait()
-
-
-def test_an_optimizer_killed_in_every_window_makes_no_difference(
-    synthetic_stereo: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    alone = _run(synthetic_stereo, tmp_path / "alone", 1)
-    submit, killed = OptimizerProcess.submit, []
-
-    def kill_and_submit(self: OptimizerProcess, problem: WindowProblem) -> None:
-        killed.append(self._child.pid)
-        os.kill(killed[-1], signal.SIGKILL)
-        submit(self, problem)
-
-    monkeypatch.setattr(OptimizerProcess, "submit", kill_and_submit)
-    assert _run(synthetic_stereo, tmp_path / "killed", 2) == alone
-    assert len(set(killed)) == len(killed) > 1
-    assert len([r for r in caplog.records if "died" in r.getMessage()]) == len(killed)
 
 
 class Impatient:

@@ -20,8 +20,6 @@ from vo.cli.run_options import Outputs
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
 if TYPE_CHECKING:
-    from subprocess import Popen
-
     from rich.console import Console
 
     from vo.base.config import Config
@@ -47,8 +45,8 @@ def execute(request: RunRequest) -> None:
     quiet = request.printing.quiet
     with stop_signals_as_interrupts(request.output) as signals, ExitStack() as stack:
         with collection_paused():
-            config, optimizer_process = _start_optimizer(request, stack)
-            import vo.runs.run_recording  # noqa: F401 - loaded while the optimizer's process loads, too
+            config = _settings(request)
+            import vo.runs.run_recording  # noqa: F401
             from vo.cli.console import standard_error
             from vo.cli.progress import make_progress, warnings_on
         console = standard_error()
@@ -57,7 +55,6 @@ def execute(request: RunRequest) -> None:
         options = {
             "progress": IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals),
             "profile_since": begun if request.outputs.profile else None,
-            "optimizer_process": optimizer_process,
             "flags": known_flags(),
         }
         summary = _run(request, config, options, stack)
@@ -114,19 +111,14 @@ def _make_dense(request: RunRequest) -> None:
         print_dense(done)
 
 
-def _start_optimizer(request: RunRequest, stack: ExitStack) -> tuple[Config, Popen[bytes] | None]:
-    """Load the settings and start the optimizer's process, before this one loads its modules."""
+def _settings(request: RunRequest) -> Config:
+    """Load the settings; warnings about them come before the console of the other ones is there."""
     from vo.base.config import load_config
-    from vo.base.scheduling import available_cores
-    from vo.engine.backend.launch import child_started_early
 
-    # Warnings about settings come before the console of the other ones is loaded.
     if logging.lastResort is not None:
         logging.lastResort.setFormatter(logging.Formatter("warning: %(message)s"))
     settings = request.settings
-    config = load_config(settings.config, [*settings.all, *request.masks.settings])
-    child = stack.enter_context(child_started_early(config.threads or available_cores()))
-    return config, child
+    return load_config(settings.config, [*settings.all, *request.masks.settings])
 
 
 def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: ExitStack) -> Summary:

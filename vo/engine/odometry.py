@@ -7,8 +7,6 @@ which adds landmarks and is optimised together with the keyframes before it.
 
 from __future__ import annotations
 
-from subprocess import Popen
-
 import cv2
 
 from vo.base.config import Config
@@ -37,7 +35,6 @@ class Odometry(OdometryBase[PreprocessedFrame]):
     Args:
         rig: the cameras, as recorded.
         components: parts to be used instead of the built-in ones.
-        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
 
     Raises:
         CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
@@ -48,13 +45,12 @@ class Odometry(OdometryBase[PreprocessedFrame]):
         rig: Rig,
         config: Config,
         components: Components = BUILT_IN,
-        optimizer_process: Popen[bytes] | None = None,
     ) -> None:
         super().__init__()
         warm_up(Odometry, parts_of(rig, inertial=components.inertial_sensor is not None))
         cv2.setRNGSeed(config.seed)
         with networks_used(config.features.device) as self.networks:
-            stages = make_stages(rig, config, components, self.stopwatch, optimizer_process)
+            stages = make_stages(rig, config, components, self.stopwatch)
         self._preprocessor: FramePreprocessor = stages.preprocessor
         self.hidden = stages.preprocessor.hidden
         self._window_optimizer = stages.window_optimizer

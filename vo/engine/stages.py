@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from subprocess import Popen
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.config import Config
@@ -109,7 +108,6 @@ def make_stages(
     config: Config,
     components: Components,
     stopwatch: Stopwatch,
-    optimizer_process: Popen[bytes] | None = None,
 ) -> Stages:
     """Build all stages, see `Odometry`."""
     if isinstance(config.camera.readout_s, float):
@@ -132,7 +130,7 @@ def make_stages(
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
     motion = components.motion or _motion(reader, predictor, rectified)
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
-    optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
+    optimizer = make_optimizer(config.smoothing, threads)
     factors = list(components.factor_sources)
     if predictor is not None:
         from vo.engine.backend.gap_factors import GapFactors

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path
-from subprocess import Popen
 from types import NoneType, UnionType
 from typing import Any, Literal, Self, Union, get_args, get_origin, get_type_hints
 
@@ -70,7 +69,6 @@ class RunOptions:
         components: parts of the odometry to use instead of the built-in ones.
         progress: observer of the run.
         profile_since: write a profile that begins at this time of `time.perf_counter`.
-        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
         gps: positions of another sensor, which move the path and give its scale: a file,
             `LOG:/TOPIC` or `auto`.
         scale: what measures the scale of a mono path, which is converted to metres.
@@ -105,7 +103,6 @@ class RunOptions:
     components: Components = BUILT_IN
     progress: Progress | None = None
     profile_since: float | None = None
-    optimizer_process: Popen[bytes] | None = None
     gps: str | None = None
     scale: ScaleOptions = field(default_factory=ScaleOptions)
     scale_sources: Sequence[ScaleSource] = ()

@@ -115,7 +115,6 @@ def run(
             except TrackAgain as found:  # all files are made anew
                 _log.info("%s; all frames are tracked again", found)
                 reason = found.with_traceback(None)
-            options = replace(options, optimizer_process=None)
             opened = _followed(opened) if isinstance(reason, FocalLengthChange) else opened
             again = _opened(source, opened.stream, config, options)
             opened, components = _again(reason, opened, again, components)
@@ -160,10 +159,9 @@ def _run(opened: OpenedRun, output: Path, components: Components, poses: PoseStr
     is_metric = stream.rig.is_stereo or stream.rig.has_depth
     if not (is_live or is_metric) and components.inertial_sensor is None:
         decided = _with_rescue(decided, components)
-    process = options.optimizer_process
     if options.save_map is not None:
         check_has_map(rig, decided, "save_map")
-    with closing(make_odometry(rig, decided, components, process)) as odometry:
+    with closing(make_odometry(rig, decided, components)) as odometry:
         if options.save_map is not None:
             odometry.map_alignment.check_savable(options.save_map)
         if every > 1 and isinstance(stream, Recording):

@@ -1,4 +1,4 @@
-"""The optimizer in a process of its own."""
+"""A solver in a process of its own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -19,19 +21,24 @@ from windows import drive
 from vo.base.config import SmoothingConfig
 from vo.engine.backend import launch as child_module
 from vo.engine.backend.messages import receive
-from vo.engine.backend.optimizer import InProcessOptimizer, make_optimizer
-from vo.engine.backend.process import OptimizerProcess
-from vo.engine.backend.solution import WindowSolution, solve
+from vo.engine.backend.process import SolverProcess
+from vo.engine.backend.solution import WindowSolution, solve, unsolved
 from vo.engine.backend.window_problem import WindowProblem
 
 CONFIG = SmoothingConfig()
 
+WindowProcess: TypeAlias = "SolverProcess[WindowProblem, WindowSolution]"
+
 
 @pytest.fixture
-def optimizer() -> Iterator[OptimizerProcess]:
-    optimizer = OptimizerProcess(CONFIG)
+def optimizer() -> Iterator[WindowProcess]:
+    optimizer = _process()
     yield optimizer
     optimizer.close()
+
+
+def _process() -> WindowProcess:
+    return SolverProcess(partial(solve, config=CONFIG), unsolved)
 
 
 def _problem(seed: int = 1) -> WindowProblem:
@@ -48,7 +55,7 @@ def _assert_same(found: WindowSolution, expected: WindowSolution) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def _pid(optimizer: OptimizerProcess) -> int:
+def _pid(optimizer: WindowProcess) -> int:
     return optimizer._child.pid
 
 
@@ -62,14 +69,14 @@ def _has_ended(pid: int) -> bool:
     return False
 
 
-def test_the_answer_is_the_same_as_in_this_process(optimizer: OptimizerProcess) -> None:
+def test_the_answer_is_the_same_as_in_this_process(optimizer: WindowProcess) -> None:
     for seed in (1, 2):
         optimizer.submit(_problem(seed))
         _assert_same(optimizer.result(), solve(_problem(seed), CONFIG))
 
 
 def test_a_killed_process_costs_a_warning_and_nothing_else(
-    optimizer: OptimizerProcess, caplog: pytest.LogCaptureFixture
+    optimizer: WindowProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
     expected = solve(_problem(), CONFIG)
     optimizer.submit(_problem())
@@ -88,7 +95,7 @@ def test_a_killed_process_costs_a_warning_and_nothing_else(
     assert not caplog.records
 
 
-def test_a_process_killed_at_work_is_replaced_too(optimizer: OptimizerProcess) -> None:
+def test_a_process_killed_at_work_is_replaced_too(optimizer: WindowProcess) -> None:
     optimizer.submit(_problem())
     optimizer.result()
     os.kill(_pid(optimizer), signal.SIGSTOP)  # it cannot have answered when it is killed
@@ -98,7 +105,7 @@ def test_a_process_killed_at_work_is_replaced_too(optimizer: OptimizerProcess) -
 
 
 def test_a_window_that_kills_its_process_again_is_left_as_it_is(
-    optimizer: OptimizerProcess, monkeypatch: pytest.MonkeyPatch
+    optimizer: WindowProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     optimizer.submit(_problem())
     optimizer.result()
@@ -112,23 +119,14 @@ def test_a_window_that_kills_its_process_again_is_left_as_it_is(
 
 def test_a_process_that_never_starts_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(child_module, "_PROGRAM", "raise SystemExit(3) # {path!r}")
-    optimizer = OptimizerProcess(CONFIG)
+    optimizer = _process()
     optimizer.submit(_problem())
     with pytest.raises(RuntimeError, match="does not start"):
         optimizer.result()
     optimizer.close()
 
 
-def test_where_no_process_can_be_started_the_work_is_done_here(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with caplog.at_level(logging.WARNING):
-        assert isinstance(make_optimizer(CONFIG, threads=2), InProcessOptimizer)
-    assert "no other can be started" in caplog.text
-
-
-def test_an_error_in_the_process_is_told(optimizer: OptimizerProcess) -> None:
+def test_an_error_in_the_process_is_told(optimizer: WindowProcess) -> None:
     optimizer.submit("no window")  # type: ignore[arg-type]
     with pytest.raises(RuntimeError, match="the optimizer failed"):
         optimizer.result()
@@ -137,7 +135,7 @@ def test_an_error_in_the_process_is_told(optimizer: OptimizerProcess) -> None:
 
 
 def test_closing_ends_the_process_whatever_it_is_doing() -> None:
-    optimizer = OptimizerProcess(CONFIG)
+    optimizer = _process()
     pid = _pid(optimizer)
     optimizer.submit(_problem())
     optimizer.close()
@@ -147,7 +145,7 @@ def test_closing_ends_the_process_whatever_it_is_doing() -> None:
 
 
 def test_a_forgotten_optimizer_takes_its_process_along() -> None:
-    optimizer = OptimizerProcess(CONFIG)
+    optimizer = _process()
     pid = _pid(optimizer)
     del optimizer
     assert _has_ended(pid)
@@ -155,9 +153,8 @@ def test_a_forgotten_optimizer_takes_its_process_along() -> None:
 
 _SCRIPT = """
 import os, signal, sys
-from vo.engine.backend.process import OptimizerProcess
-from vo.base.config import SmoothingConfig
-optimizer = OptimizerProcess(SmoothingConfig())
+from vo.engine.backend.process import SolverProcess
+optimizer = SolverProcess(len, len)
 print(optimizer._child.pid, flush=True)
 {end}
 """
@@ -191,7 +188,7 @@ def test_modules_in_the_current_folder_are_not_run(
     (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'run')!r}, 'w')", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", ".", *sys.path])
-    optimizer = OptimizerProcess(CONFIG)
+    optimizer = _process()
     optimizer.submit(_problem())
     assert optimizer.result().converged
     optimizer.close()
@@ -212,8 +209,3 @@ def test_modules_are_found_where_the_parent_finds_them(
 def test_what_is_no_message_is_refused(received: bytes) -> None:
     with pytest.raises(OSError, match="is no message"):
         receive(io.BytesIO(received))
-
-
-def test_its_program_does_without_the_settings() -> None:
-    program = "import sys, vo.engine.backend.worker; sys.exit('pydantic' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

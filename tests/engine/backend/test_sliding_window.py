@@ -13,7 +13,7 @@ from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import adjoint, inverse, se3_exp, se3_log, transform_points
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Floats, Ints
-from vo.engine.backend.optimizer import InProcessOptimizer
+from vo.engine.backend.optimizer import DeferredOptimizer
 from vo.engine.backend.sliding_window import SlidingWindow
 from vo.engine.backend.solution import WindowSolution
 from vo.engine.frontend.contracts import DescriptorFormat
@@ -91,7 +91,7 @@ def _config(max_landmarks: int) -> Config:
     return config.model_copy(update={"smoothing": smoothing})
 
 
-class Unsolvable(InProcessOptimizer):
+class Unsolvable(DeferredOptimizer):
     """Gives results that have not converged."""
 
     def result(self) -> WindowSolution:
@@ -99,9 +99,9 @@ class Unsolvable(InProcessOptimizer):
 
 
 def _submitted(
-    scene: Scene, config: Config, optimizer: InProcessOptimizer | None = None
+    scene: Scene, config: Config, optimizer: DeferredOptimizer | None = None
 ) -> SlidingWindow:
-    optimizer = optimizer or InProcessOptimizer(config.smoothing)
+    optimizer = optimizer or DeferredOptimizer(config.smoothing)
     window = SlidingWindow(scene.map, optimizer, SIGMA_DISPARITY_PX, config.smoothing, Stopwatch())
     window.submit(calibration_weight=1)
     return window

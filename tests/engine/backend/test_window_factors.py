@@ -15,8 +15,7 @@ from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.stopwatch import Stopwatch
 from vo.base.types import Floats
-from vo.engine.backend.optimizer import InProcessOptimizer
-from vo.engine.backend.process import OptimizerProcess
+from vo.engine.backend.optimizer import DeferredOptimizer, ThreadOptimizer
 from vo.engine.backend.sliding_window import SlidingWindow
 from vo.engine.backend.solution import solve
 from vo.engine.backend.window_problem import WindowFactor
@@ -146,14 +145,14 @@ def test_a_window_without_further_factors_has_no_further_states() -> None:
     assert solve(drive(stereo=True, fixed=2).problem, PRECISE).states == {}
 
 
-def test_factors_give_the_same_bits_in_another_process() -> None:
+def test_factors_give_the_same_bits_in_another_thread() -> None:
     window = drive(stereo=True, fixed=2).with_noise(1).with_guess()
     factors = [relative_pose(window, 1, 4, 0.01), *(Velocity(k) for k in range(7))]
     problem = with_factors(window, *factors).problem
-    here = InProcessOptimizer(PRECISE)
+    here = DeferredOptimizer(PRECISE)
     here.submit(problem)
     expected = here.result()
-    optimizer = OptimizerProcess(PRECISE)
+    optimizer = ThreadOptimizer(PRECISE)
     try:
         optimizer.submit(problem)
         found = optimizer.result()
@@ -184,7 +183,7 @@ def test_a_factor_source_gives_factors_and_receives_states() -> None:
     window, source = drive(keyframes=5, stereo=True, fixed=1), Velocities()
     local_map = _map_of(window)
     sliding = SlidingWindow(
-        local_map, InProcessOptimizer(PRECISE), 0.4, PRECISE, Stopwatch(), [source]
+        local_map, DeferredOptimizer(PRECISE), 0.4, PRECISE, Stopwatch(), [source]
     )
     sliding.submit(calibration_weight=0)
     assert sliding.apply() is not None

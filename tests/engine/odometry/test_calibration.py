@@ -13,7 +13,7 @@ from recorded_walk import CONFIG, Recording, Run, aligned, track
 from vo.base.config import KeyframeConfig
 from vo.base.faults import FaultKind
 from vo.base.types import Frame, Rig
-from vo.engine.backend.optimizer import InProcessOptimizer
+from vo.engine.backend.optimizer import DeferredOptimizer
 from vo.engine.backend.window_problem import WindowProblem
 
 
@@ -87,13 +87,13 @@ def test_calibration_is_not_estimated_if_its_correction_is_switched_off(
 def _estimated(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
     """Whether the calibration is estimated in each window that is submitted from here on."""
     estimated: list[bool] = []
-    submit = InProcessOptimizer.submit
+    submit = DeferredOptimizer.submit
 
-    def noted(self: InProcessOptimizer, problem: WindowProblem) -> None:
+    def noted(self: DeferredOptimizer, problem: WindowProblem) -> None:
         estimated.append(problem.estimates_calibration)
         submit(self, problem)
 
-    monkeypatch.setattr(InProcessOptimizer, "submit", noted)
+    monkeypatch.setattr(DeferredOptimizer, "submit", noted)
     return estimated
 
 

@@ -1,8 +1,4 @@
-"""Start and end of the optimizer's process.
-
-Nothing heavy is imported here, so that a program can start the process first: it takes as long to
-load as the program itself, on another core.
-"""
+"""Start and end of a solver's process."""
 
 from __future__ import annotations
 
@@ -10,14 +6,13 @@ import logging
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
 _log = logging.getLogger(__name__)
 
-# A window takes a third of that, so that writing never blocks.
+# So that writing seldom blocks.
 _PIPE_BYTES = 1 << 20
 # Not multiprocessing: that runs the caller's main module again. The child finds its modules
 # where this process finds them, never in the folder that it happens to be started in (-P): a file
@@ -30,39 +25,18 @@ gc.disable()
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 sys.path[:], sys.modules["scipy"] = {path!r}, None
 from vo.engine.backend.worker import main
-main({for_windows})
+main()
 """
 
 
-@contextmanager
-def child_started_early(threads: int) -> Iterator[subprocess.Popen[bytes] | None]:
-    """A process for a later `OptimizerProcess`, ended at the end.
-
-    None with one thread, and where no process can be started.
-    """
-    child = None
-    if threads > 1:
-        try:
-            child = start_child()
-        except OSError as error:
-            _log.info("no process for the optimizer yet: %s", error)  # tried again later
-    try:
-        yield child
-    finally:
-        if child is not None:
-            end_child(child)
-
-
-def start_child(*, for_windows: bool = True) -> subprocess.Popen[bytes]:
+def start_child() -> subprocess.Popen[bytes]:
     """Start the process, which waits for problems on its standard input.
-
-    `for_windows`: whether it loads what windows need before the first one.
 
     Raises:
         OSError: it cannot be started.
     """
     child = subprocess.Popen(
-        [sys.executable, "-P", "-c", _PROGRAM.format(path=_import_path(), for_windows=for_windows)],
+        [sys.executable, "-P", "-c", _PROGRAM.format(path=_import_path())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         # On such small matrices a second BLAS thread only occupies a core.
@@ -82,7 +56,7 @@ def _import_path() -> list[str]:
 
 
 def _widen(pipe: IO[bytes]) -> None:
-    """Enlarge the buffer of a pipe to a whole window, where the system allows it."""
+    """Enlarge the buffer of a pipe where the system allows it."""
     with suppress(ImportError, AttributeError, OSError):
         import fcntl
 
@@ -98,5 +72,5 @@ def end_child(child: subprocess.Popen[bytes]) -> int:
         try:
             pipe.close()
         except OSError:
-            _log.debug("an incomplete window was left in the pipe")
+            _log.debug("an incomplete problem was left in the pipe")
     return status

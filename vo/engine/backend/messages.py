@@ -1,4 +1,4 @@
-"""Messages between this process and the optimizer's: a mark, a length and a pickle, over pipes.
+"""Messages between this process and a solver's: a mark, a length and a pickle, over pipes.
 
 The pipes belong to the two processes alone, so that a pickle is safe. What a library prints into
 one by mistake is recognised by the missing mark.
@@ -12,7 +12,7 @@ from typing import IO, Any
 
 _HEADER = struct.Struct("<8sQ")
 _MARK = b"vowindow"
-_MAX_BYTES = 2**30  # a window takes 0.3 MB
+_MAX_BYTES = 2**30
 
 
 def send(pipe: IO[bytes], message: object) -> None:
@@ -24,7 +24,7 @@ def send(pipe: IO[bytes], message: object) -> None:
     """
     data = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     if len(data) > _MAX_BYTES:
-        raise ValueError(f"a window of {len(data)} bytes is too large; set a smaller window")
+        raise ValueError(f"a problem of {len(data)} bytes is too large")
     pipe.write(_HEADER.pack(_MARK, len(data)))
     pipe.write(data)
     pipe.flush()

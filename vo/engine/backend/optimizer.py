@@ -1,17 +1,15 @@
-"""Optimizers of windows: in this process, or in one of their own."""
+"""Optimizers of windows: in a thread of their own, or when the result is requested."""
 
 from __future__ import annotations
 
-import logging
-from subprocess import Popen
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 from vo.base.config import SmoothingConfig
-from vo.engine.backend.process import OptimizerProcess
+from vo.base.scheduling import give_way
 from vo.engine.backend.solution import WindowSolution, solve
 from vo.engine.backend.window_problem import WindowProblem
-
-_log = logging.getLogger(__name__)
 
 
 class WindowOptimizer(Protocol):
@@ -30,35 +28,44 @@ class WindowOptimizer(Protocol):
         ...
 
 
-class InProcessOptimizer:
-    """Optimises in this process, when the result is requested."""
+class DeferredOptimizer:
+    """Optimises when the result is requested."""
 
     def __init__(self, config: SmoothingConfig) -> None:
         self._config = config
-        self._problem: WindowProblem | None = None
+        self._result: Callable[[], WindowSolution] | None = None
 
     def submit(self, problem: WindowProblem) -> None:
         """Keep a window until its result is requested."""
-        self._problem = problem
+        self._result = lambda: solve(problem, self._config)
 
     def result(self) -> WindowSolution:
         """Optimise the submitted window."""
-        if self._problem is None:
+        if self._result is None:
             raise RuntimeError("no window was submitted")
-        problem, self._problem = self._problem, None
-        return solve(problem, self._config)
+        result, self._result = self._result, None
+        return result()
 
     def close(self) -> None:
         """Nothing to release."""
 
 
-def make_optimizer(
-    config: SmoothingConfig, threads: int, child: Popen[bytes] | None = None
-) -> WindowOptimizer:
-    """An optimizer in its own process, where there is more than one core; child may run already."""
-    if threads > 1:
-        try:
-            return OptimizerProcess(config, child)
-        except OSError as error:
-            _log.warning("optimising in this process, no other can be started: %s", error)
-    return InProcessOptimizer(config)
+class ThreadOptimizer(DeferredOptimizer):
+    """Optimises while frames are tracked: nearly all is compiled, without Python's global lock."""
+
+    def __init__(self, config: SmoothingConfig) -> None:
+        super().__init__(config)
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="window", initializer=give_way)
+
+    def submit(self, problem: WindowProblem) -> None:
+        """Begin to optimise a window, which nothing may change."""
+        self._result = self._thread.submit(solve, problem, self._config).result
+
+    def close(self) -> None:
+        """End the thread."""
+        self._thread.shutdown(cancel_futures=True)
+
+
+def make_optimizer(config: SmoothingConfig, threads: int) -> WindowOptimizer:
+    """An optimizer in a thread of its own, where there is more than one core."""
+    return ThreadOptimizer(config) if threads > 1 else DeferredOptimizer(config)

@@ -11,14 +11,10 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from subprocess import Popen
-from types import SimpleNamespace
 from typing import Generic, TypeVar
 
-from vo.base.config import SmoothingConfig
 from vo.engine.backend.launch import end_child, start_child
 from vo.engine.backend.messages import receive, send
-from vo.engine.backend.solution import WindowSolution, solve, unsolved
-from vo.engine.backend.window_problem import WindowProblem
 
 _log = logging.getLogger(__name__)
 
@@ -32,30 +28,21 @@ class SolverProcess(Generic[Problem, Solution]):
     """Sends problems to another process, which works on them until their results are requested.
 
     Args:
-        solver: function of a module, called there with the problem and the options.
+        solver: function of a module, called there with the problem.
         left_alone: the solution of a problem that cannot be solved, made in this process.
-        options: further arguments of the solver.
-
-    Attributes:
-        for_windows: whether the process is prepared for windows.
 
     Raises:
         OSError: the process cannot be started.
     """
 
-    for_windows = False
-
     def __init__(
         self,
         solver: Callable[..., Solution],
         left_alone: Callable[[Problem], Solution],
-        options: tuple[object, ...] = (),
-        child: Popen[bytes] | None = None,
     ) -> None:
         self._solver = solver
         self._left_alone = left_alone
-        self._options = options
-        self._children = [child or self._start()]  # one, until it is ended
+        self._children = [start_child()]  # one, until it is ended
         self._end = weakref.finalize(self, _end_all, self._children)
         self._problem: Problem | None = None
         self._has_result = False
@@ -97,13 +84,10 @@ class SolverProcess(Generic[Problem, Solution]):
             raise RuntimeError("the optimizer was closed")
         return self._children[0]
 
-    def _start(self) -> Popen[bytes]:
-        return start_child(for_windows=self.for_windows)
-
     def _send(self, problem: Problem) -> None:
         pipe = self._child.stdin
         assert pipe is not None
-        send(pipe, (self._solver, problem, *self._options))
+        send(pipe, (self._solver, problem))
 
     def _receive(self) -> Solution:
         pipe = self._child.stdout
@@ -117,22 +101,7 @@ class SolverProcess(Generic[Problem, Solution]):
     def _replace(self) -> None:
         status = end_child(self._child)
         _log.warning("the optimizer's process died (status %d) and is restarted", status)
-        self._children[:] = [self._start()]
-
-
-class OptimizerProcess(SolverProcess[WindowProblem, WindowSolution]):
-    """Optimises windows in another process.
-
-    Raises:
-        OSError: the process cannot be started.
-    """
-
-    for_windows = True
-
-    def __init__(self, config: SmoothingConfig, child: Popen[bytes] | None = None) -> None:
-        # Plain numbers: importing the settings' classes would take a quarter of its start-up.
-        options = SimpleNamespace(**config.model_dump())
-        super().__init__(solve, unsolved, (options,), child)
+        self._children[:] = [start_child()]
 
 
 def _end_all(children: list[Popen[bytes]]) -> None:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 # Eigenvalue of the hessian, relative to the greatest, below which a direction is not determined.
 _UNDETERMINED = 1e-13
-# Pivot of the hessian's root, relative to the greatest, above which all directions are determined.
-_MIN_PIVOT = 1e-5
 _INITIAL_LAMBDA = 1e-4  # of Levenberg and Marquardt
 
 
@@ -146,32 +144,14 @@ def _square_root(normal: NormalEquations) -> tuple[Floats, Floats]:
     """Jacobian J (6 F + 1, 6 F) without its zero last row, and errors e (6 F + 1,).
 
     J^T J is the hessian of the poses, J^T e[:-1] their gradient; the last error, which no pose
-    changes, makes half the sum of squares the cost. Eigenvalues are used where the hessian leaves a
-    direction undetermined, as in mono the scale.
+    changes, makes half the sum of squares the cost. By eigenvalues, as the hessian may leave a
+    direction undetermined: in mono the scale.
     """
-    factor = _triangular(normal.hessian)
-    if factor is not None:
-        error = np.asarray(np.linalg.solve(factor, normal.gradient), dtype=np.float64)
-        return factor.T, np.r_[error, _constant_error(normal, error)]
     values, vectors = np.linalg.eigh(normal.hessian)
     determined = values > _UNDETERMINED * values[-1]
     root = np.where(determined, np.sqrt(np.maximum(values, 0.0)), 0.0)
     with np.errstate(divide="ignore"):
         inverse_root = np.where(determined, 1.0 / root, 0.0)
     error = np.asarray(inverse_root * (vectors.T @ normal.gradient), dtype=np.float64)
-    return root[:, None] * vectors.T, np.r_[error, _constant_error(normal, error)]
-
-
-def _triangular(hessian: Floats) -> Floats | None:
-    """The lower triangle L with L L^T = hessian; None if a direction is hardly determined."""
-    try:
-        factor = np.asarray(np.linalg.cholesky(hessian), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return None
-    pivots = np.diag(factor)
-    return factor if pivots.min() > _MIN_PIVOT * pivots.max() else None
-
-
-def _constant_error(normal: NormalEquations, error: Floats) -> float:
-    """The component of the error that no pose changes."""
-    return float(np.sqrt(max(2.0 * normal.cost - float(error @ error), 0.0)))
+    constant = np.sqrt(max(2.0 * normal.cost - float(error @ error), 0.0))  # no pose changes it
+    return root[:, None] * vectors.T, np.r_[error, constant]

@@ -5,7 +5,6 @@ A lens that is wider than a pinhole camera can be is a rig, too: of views from o
 
 from __future__ import annotations
 
-from subprocess import Popen
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -50,7 +49,6 @@ def make_odometry(
     rig: Rig,
     config: Config,
     components: Components = BUILT_IN,
-    optimizer_process: Popen[bytes] | None = None,
 ) -> AnyOdometry:
     """The odometry for a rig.
 
@@ -60,12 +58,12 @@ def make_odometry(
     """
     has_sensor = components.inertial_sensor is not None
     if not is_tracked_as_rig(rig, config, has_sensor=has_sensor):
-        return Odometry(rig, config, components, optimizer_process)
+        return Odometry(rig, config, components)
     if config.memory.map:
         check_has_map(rig, config, "memory.map")
     from vo.engine.rig.odometry import RigOdometry
 
-    return RigOdometry(rig, config, components, optimizer_process)
+    return RigOdometry(rig, config, components)
 
 
 def check_has_map(rig: Rig, config: Config, option: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from subprocess import Popen
 
 import cv2
 import numpy as np
@@ -55,7 +54,6 @@ class RigOdometry(OdometryBase[RigFrame]):
     Args:
         rig: the cameras, as recorded.
         components: `extractor` and `matcher` may be given.
-        optimizer_process: that of `vo.engine.backend.launch`, if it was started already.
 
     Raises:
         CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
@@ -66,7 +64,6 @@ class RigOdometry(OdometryBase[RigFrame]):
         rig: Rig,
         config: Config,
         components: Components = BUILT_IN,
-        optimizer_process: Popen[bytes] | None = None,
     ) -> None:
         super().__init__()
         warm_up(Odometry)
@@ -92,7 +89,7 @@ class RigOdometry(OdometryBase[RigFrame]):
         tied = self._views.body_from_views
         parts = self._map, frontend, config.tracking, tied, self.stopwatch
         self._tracker: RigTracker = RigTracker(*parts)
-        self._window_optimizer = make_optimizer(config.smoothing, threads, optimizer_process)
+        self._window_optimizer = make_optimizer(config.smoothing, threads)
         of_window = self._map, self._window_optimizer, config.smoothing, self.stopwatch, size
         self._window = RigWindow(*of_window, self._views.cameras, self._unknown_lever)
         self._extrinsics = RigExtrinsics(tied, self._views.cameras)
