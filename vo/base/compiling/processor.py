@@ -39,6 +39,12 @@ def use_common_instructions(
             environment.update(settings)
 
 
+def has_common_instructions() -> bool:
+    """Whether code is compiled for them."""
+    settings = _SETTINGS[1]
+    return all(os.environ.get(name) == value for name, value in settings.items())
+
+
 def _flags(info: Path) -> set[str]:
     """Flags of the first processor; all of a machine are alike."""
     with suppress(OSError), info.open(encoding="utf-8", errors="replace") as lines:

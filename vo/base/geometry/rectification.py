@@ -9,6 +9,7 @@ only positions of features are undistorted, which is cheaper and keeps every pix
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from vo.base.geometry import cameras
 from vo.base.geometry.pair_rectification import central_focal, check_baseline, is_wide, rectify_pair
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.rectification_maps import Maps, displaced_maps, wide_maps
+from vo.base.geometry.remapping import Remapping
 from vo.base.geometry.rig_overlap import overlaps
 from vo.base.geometry.transforms import make_transform
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
@@ -87,10 +89,12 @@ class RectifiedRig:
 
     def rectify(self, image: Bytes, side: int) -> Bytes:
         """Rectified image of cam0 (side 0) or cam1 (side 1)."""
-        maps = self.maps[side]
-        if maps is None:
-            return image
-        return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), dtype=np.uint8)
+        remapping = self._remappings[side]
+        return image if remapping is None else remapping(image)
+
+    @cached_property
+    def _remappings(self) -> tuple[Remapping | None, ...]:
+        return tuple(None if maps is None else Remapping(maps) for maps in self.maps)
 
     def rectify_depth(self, depth: Floats32) -> Floats32:
         """Depth at the pixels of the rectified image; nearest neighbour, because of edges."""

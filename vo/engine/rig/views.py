@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from vo.base.geometry.lens_field import WIDE_DEG, half_angles
 from vo.base.geometry.pair_rectification import central_focal
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.rectification_maps import Maps, wide_maps
+from vo.base.geometry.remapping import Remapping
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp
 from vo.base.types import Bytes, Camera, Floats, Ints, Rig
 
@@ -48,9 +50,11 @@ class ViewOfCamera:
 
     def rectify(self, image: Bytes) -> Bytes:
         """The view of a recorded image."""
-        if self.maps is None:
-            return image
-        return np.asarray(cv2.remap(image, *self.maps, cv2.INTER_LINEAR), dtype=np.uint8)
+        return image if self._remapping is None else self._remapping(image)
+
+    @cached_property
+    def _remapping(self) -> Remapping | None:
+        return None if self.maps is None else Remapping(self.maps)
 
     def mask_of(self, recorded: Bytes) -> Bytes | None:
         """The mask for one of the recorded image; None if all of the view is used."""
