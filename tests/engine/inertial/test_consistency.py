@@ -27,7 +27,7 @@ from inertial_flight import (
 from vo.base.geometry.transforms import inverse, se3_exp, se3_log
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.inertial.chain import InertialChain
-from vo.engine.inertial.keyframe_states import Node
+from vo.engine.inertial.keyframe_states import KeyframeStates, Node
 from vo.engine.inertial.prediction import (
     InertialPredictor,
     known_motion,
@@ -221,3 +221,54 @@ def test_common_error_of_the_scale_changes_no_state() -> None:
     assert np.abs((errors - expected) / sigma).max() < 0.05
     found = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     np.testing.assert_allclose(found, sigma, rtol=0.02)
+
+
+_SURE = np.repeat([1e-4, 3e-4], 3)  # errors of a motion by two cameras: rad and m
+
+
+@cache
+def _metric_run(seed: int, stated: float) -> tuple[KeyframeStates, KeyframeStates, Floats]:
+    """States of a run of two cameras, those with motions as stated, and the first's errors (n, 6).
+
+    `stated`: variances of the motions by images, relative to the true ones. Errors are of poses.
+    """
+    rng = np.random.default_rng(100 + seed)
+    stamps, (sensor, biases) = keyframe_stamps(_KEYFRAMES), _sensor(rng)
+    chain = InertialChain(SampleReader(sensor), _WALKING, IMU_FROM_CAM, is_metric=True)
+    truth, pose = world_from_cam(stamps), np.eye(4)
+    for k in range(_KEYFRAMES):
+        if k:
+            moved = se3_exp(_SURE * rng.standard_normal(6))
+            pose = pose @ inverse(truth[k - 1]) @ truth[k] @ moved
+        covariance = np.diag(stated * _SURE**2) if k else None
+        chain.set(Node(k, k, int(stamps[k]), 0, pose, covariance))
+        chain.update()
+    as_stated = chain.smoothed()
+    solved = chain.finish()
+    assert solved is not None and as_stated is not None
+    true = _true_states(stamps, biases, np.ones(_KEYFRAMES))
+    return solved, as_stated, solved.estimate.states.since(true)[:, :6]
+
+
+def _metric_nees(stated: float) -> tuple[float, float]:
+    """Means over runs of the pose's NEES at the last keyframe, and with covariances as stated."""
+    total = np.zeros(2)
+    for seed in range(_RUNS):
+        *both, errors = _metric_run(seed, stated)
+        covariances = [each.estimate.covariance[-1][:6, :6] for each in both]
+        total += [errors[-1] @ np.linalg.solve(c, errors[-1]) for c in covariances]
+    return float(total[0] / _RUNS), float(total[1] / _RUNS)
+
+
+def test_variances_of_two_cameras_that_are_stated_too_large_are_found() -> None:
+    low, high = _band(6)
+    assert low < _metric_nees(1.0)[0] < high
+    found, as_stated = _metric_nees(4.0)
+    assert as_stated < 0.6 * low and low < found < high
+
+
+def test_variances_of_two_cameras_never_grow() -> None:
+    for seed in range(_RUNS):
+        solved, as_stated, _ = _metric_run(seed, 0.25)
+        found, before = (np.trace(s.estimate.covariance[-1][:6, :6]) for s in (solved, as_stated))
+        assert 0.5 * before < found < 1.02 * before

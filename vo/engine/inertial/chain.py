@@ -19,6 +19,7 @@ from vo.engine.inertial.estimation import (
     estimate_states,
     first_prior,
     weighed_states,
+    with_weighed_images,
 )
 from vo.engine.inertial.initialisation import Keyframes, NotYet, initial_estimate
 from vo.engine.inertial.keyframe_states import KeyframeStates, Node, certain, covariances
@@ -194,9 +195,13 @@ class InertialChain:
             return self.newest
         if solved is not None:
             states = solved.estimate.states
-            problem = ChainProblem(solved.estimate.steps, self._first_prior(states), self._noise)
+            prior = self._first_prior(states)
+            problem = ChainProblem(solved.estimate.steps, prior, self._noise)
             if self.agreement.contradiction is None:
                 self.agreement = agreement(problem, states)
+            if self._is_metric and self.agreement.contradiction is None:
+                estimate = with_weighed_images(solved.estimate, prior, self._noise)
+                solved = replace(solved, estimate=estimate)
         return solved
 
     def smoothed(self) -> KeyframeStates | None:

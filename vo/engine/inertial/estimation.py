@@ -46,6 +46,9 @@ _MAP_ERRORS = {
 QUICK_RAD_S = 1.75  # a single camera that turns faster sees landmarks too shortly for a scale
 _TURN_LOG_SCALE = 0.007  # from one keyframe to the next in such a turn
 _METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
+# Parts of the variances of metric motions among which the evidence decides: errors over many
+# keyframes and over one have these on average (docs/experiments/covariances.md).
+_PARTS = (0.5, 0.25)
 _DOUBT = 2.0  # evidence less than the largest that a value is not refuted by
 _HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
@@ -189,6 +192,29 @@ def weighed_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) 
                 break
             best, doubted = (found if found.evidence > best.evidence else best), found
     return replace(best, covariance=doubted.covariance, steps=doubted.steps)
+
+
+def with_weighed_images(estimate: Estimate, prior: Prior, noise: ImuNoise) -> Estimate:
+    """The mean over parts of the variances of metric motions by images, each by its probability.
+
+    These variances are meant to cover most scenes. They never grow, so that no sensor, however
+    wrong, gets more weight than by them.
+
+    Source: Hoeting et al., "Bayesian model averaging: a tutorial", 1999.
+    """
+    tried = [estimate]
+    for part in _PARTS:
+        steps = replace(estimate.steps, covariance=part * estimate.steps.covariance)
+        tried.append(estimate_states(tried[-1].states, steps, prior, noise))
+    evidence = np.array([each.evidence for each in tried])
+    weight = np.exp(evidence - evidence.max())
+    weight /= weight.sum()
+    off = np.stack([each.states.since(estimate.states) for each in tried])
+    mean = np.tensordot(weight, off, 1)
+    covariance = np.tensordot(weight, np.stack([each.covariance for each in tried]), 1)
+    covariance += np.einsum("m,mni,mnj->nij", weight, off - mean, off - mean)
+    best = tried[int(evidence.argmax())]
+    return replace(best, states=estimate.states.moved(mean), covariance=covariance)
 
 
 class ChainProblem:
