@@ -44,7 +44,8 @@ class Fault(NamedTuple):
         is_handled: whether its effect was removed or bounded, so that the path can be trusted;
             False if the path may be wrong.
         value: size of the fault, in the unit of its message.
-        place: where it lies in the image, such as `bottom left`; empty if that does not apply.
+        place: where it lies in the image, such as `bottom left`, or the cameras of a rig, such as
+            `cam0, cam2`; empty if that does not apply.
     """
 
     kind: FaultKind

@@ -43,6 +43,8 @@ def test_a_covered_camera_is_left_out_and_named(walk: Walk, camera: int) -> None
     kinds = [{fault.kind for fault in estimate.faults} for estimate in estimates]
     told = [FaultKind.CAMERA_LEFT_OUT in each for each in kinds]
     assert told == [10 <= index < 25 for index in range(len(walk.frames))]
+    (fault,) = [f for f in estimates[20].faults if f.kind is FaultKind.CAMERA_LEFT_OUT]
+    assert fault == (FaultKind.CAMERA_LEFT_OUT, True, 1, f"cam{camera}")
 
 
 def test_a_frozen_camera_is_left_out(walk: Walk) -> None:

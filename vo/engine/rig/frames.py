@@ -92,8 +92,8 @@ class RigPreprocessor:
         used = tuple(not left_out[view.camera] for view in self._rig.views)
         stamps_ns = frame.stamps_ns or (frame.stamp_ns,) * cameras
         delay_s = tuple(1e-9 * (stamps_ns[v.camera] - frame.stamp_ns) for v in self._rig.views)
-        out = float(sum(left_out))
-        fault = Fault(FaultKind.CAMERA_LEFT_OUT, is_handled=any(used), value=out)
+        out = [f"cam{number}" for number, is_out in enumerate(left_out) if is_out]
+        fault = Fault(FaultKind.CAMERA_LEFT_OUT, any(used), len(out), ", ".join(out))
         faults = (fault,) if out else ()
         result = RigFrame(frame.index, frame.stamp_ns, tuple(views), used, delay_s, faults)
         if self.is_eager:

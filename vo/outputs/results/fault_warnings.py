@@ -58,7 +58,7 @@ _TEXTS: Mapping[FaultKind, tuple[str, str]] = {
         "tracked with the right camera alone for too long to keep the scale: {frames}",
     ),
     FaultKind.CAMERA_LEFT_OUT: (
-        "up to {value:.0f} of the rig's cameras at a time are missing, covered, dark or frozen, "
+        "images of {cameras} are missing, covered, dark or frozen, up to {value:.0f} at a time, "
         "and left out: {frames}",
         "no camera of the rig has an image that could be used: {frames}",
     ),
@@ -173,6 +173,7 @@ def _text(record: FaultRecord) -> str:
         frames=_frames(record),
         value=record.value,
         size=abs(record.value),
+        cameras=record.place,
         place=f", mostly at the {record.place}," if record.place else "",
     )
 

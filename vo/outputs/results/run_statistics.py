@@ -26,6 +26,8 @@ _OF_TRACKING = (
 # images are missing: so many, and at least one in so many frames.
 _MIN_STEPS, _STEP_EVERY = 3, 100
 
+_OF_CAMERAS = FaultKind.CAMERA_LEFT_OUT
+
 
 class FaultRecord(NamedTuple):
     """All faults of one kind in a run."""
@@ -36,7 +38,7 @@ class FaultRecord(NamedTuple):
     first: int | None  # number of the first frame with it, None for a fault of the whole recording
     last: int | None  # number of the last frame with it, or None
     value: float  # of the largest magnitude, in the unit of its message
-    place: str = ""  # where the one of this value lies in the image; empty if that does not apply
+    place: str = ""  # where the one of this value lies in the image, or all cameras; or empty
 
 
 class FaultLog:
@@ -76,13 +78,19 @@ def _joined(before: FaultRecord, new: FaultRecord) -> FaultRecord:
         new.first if before.first is None else before.first,
         before.last if new.last is None else new.last,
         larger.value,
-        larger.place,
+        _both(before.place, new.place) if before.kind is _OF_CAMERAS else larger.place,
     )
     are_steps = joined.kind is FaultKind.IMPLAUSIBLE_STEP and joined.frames >= _MIN_STEPS
     if not are_steps or joined.first is None or joined.last is None:
         return joined
     is_rare = joined.last - joined.first > _STEP_EVERY * joined.frames
     return joined._replace(is_handled=joined.is_handled and is_rare)
+
+
+def _both(cameras: str, others: str) -> str:
+    """The cameras of two lists such as `cam0, cam2`."""
+    names = {*cameras.split(", "), *others.split(", ")}
+    return ", ".join(sorted(names, key=lambda name: (len(name), name)))
 
 
 _SKIPPED, _UNTRACKED = "skipped", "untracked"
