@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from rig_walks import Walk, ate, edited, track
 
 import vo
 from vo.base.faults import FaultKind
-from vo.base.types import Frame
+from vo.base.types import Bytes, Frame
 
 
 def test_four_cameras_give_the_metric_path(walk: Walk) -> None:
@@ -170,3 +171,39 @@ def test_a_program_may_lack_any_image(walk: Walk) -> None:
     pair = walk.rig.first(2)
     with vo.Odometry(pair) as odometry, pytest.raises(vo.InputError, match="left"):
         odometry.track(0, None, walk.frames[0].images[1])
+
+
+def noisy(image: Bytes) -> Bytes:
+    noise = np.random.default_rng(0).normal(0.0, 1.5, image.shape)
+    return np.asarray(np.rint(image + noise).clip(0, 255), np.uint8)
+
+
+@pytest.mark.parametrize("change", [np.copy, noisy])
+def test_frames_of_a_moving_rig_whose_images_all_repeat_get_no_pose(
+    walk: Walk, change: Callable[[Bytes], Bytes]
+) -> None:
+    frozen, last = range(18, 23), walk.frames[17]
+
+    def freeze(frame: Frame) -> Frame:
+        if frame.index not in frozen:
+            return frame
+        # One camera is covered meanwhile, and another one gives nothing.
+        images = (None if i is None else change(i) for i in last.images[:2])
+        return replace(frame, images=(*images, np.full_like(last.image0, 7), None))
+
+    estimates, path = track(walk.rig, edited(walk.frames, freeze))
+    repeated = [FaultKind.REPEATED_IMAGES in {f.kind for f in e.faults} for e in estimates]
+    assert repeated == [index in frozen for index in range(len(walk.frames))]
+    assert [estimate.world_from_cam0 is None for estimate in estimates] == repeated
+    assert {estimate.segment for estimate in estimates} == {0}
+    assert len(path) == len(walk.frames) - len(frozen) and ate(path, walk.truth) < 0.003
+
+
+def test_a_rig_that_stands_still_has_poses(walk: Walk) -> None:
+    """The images are the same byte by byte, and the way goes on from where it has stopped."""
+    numbers = [*range(20), *[19] * 5, *range(20, 30)]
+    frames = [Frame(i, 100_000_000 * i, walk.frames[n].images) for i, n in enumerate(numbers)]
+    _, path = track(walk.rig, frames)
+    assert len(path) == len(frames)
+    stood = path.positions[19:25]
+    assert np.linalg.norm(stood - stood[0], axis=1).max() < 0.002

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -92,6 +93,25 @@ def is_right_frozen(left: ImageChange, right: ImageChange) -> bool:
     if right.repetition is Repetition.SIMILAR:
         return left.motion_px > _MIN_MOVING_PX
     return right.repetition is Repetition.IDENTICAL
+
+
+def rig_repetition(
+    before: Sequence[Bytes | None], now: Sequence[Bytes | None], changes: Sequence[ImageChange]
+) -> Repetition:
+    """How the images of a rig together relate to those before; None for cameras that do not count.
+
+    Images without edges have no `ImageChange`, and may still be the same.
+    """
+    found = set()
+    for image, newest, change in zip(before, now, changes, strict=True):
+        if image is None or newest is None:
+            continue
+        kind = change.repetition
+        if kind is Repetition.NONE and not np.array_equal(image, newest):
+            return kind
+        found.add(kind)
+    kinds = Repetition.SIMILAR, Repetition.IDENTICAL
+    return next((kind for kind in kinds if kind in found), Repetition.NONE)
 
 
 @compiled

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from vo.base.types import Bytes, Frame, Keypoints
 from vo.engine.frontend.camera_alignment import half_size_pyramid
 from vo.engine.frontend.contracts import FeatureExtractor
 from vo.engine.frontend.contrast import ContrastCorrection, has_content
-from vo.engine.frontend.image_repetition import Repetition, image_change
+from vo.engine.frontend.image_repetition import Repetition, image_change, rig_repetition
 from vo.engine.frontend.lazy_future import LazyFuture, each_started_early
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.rig.views import RigViews
@@ -82,36 +82,40 @@ class RigPreprocessor:
         cameras = 1 + max(view.camera for view in self._rig.views)
         given = (*frame.images, *(None,) * cameras)[:cameras]
         images = tuple(None if each is None else usual_array(each) for each in given)
-        left_out = self._left_out(images)
+        left_out, repetition = self._left_out(images)
         clear = [
             None if image is None else contrast.update((image,))[0]
             for image, contrast in zip(images, self._contrast, strict=True)
         ]
         self._hide_surround(images)
-        views = [self._view(frame, clear[view.camera], n) for n, view in enumerate(self._rig.views)]
+        shown = [self._view(frame, clear[view.camera], n) for n, view in enumerate(self._rig.views)]
+        views = tuple(replace(view, repetition=repetition) for view in shown)
         used = tuple(not left_out[view.camera] for view in self._rig.views)
         stamps_ns = frame.stamps_ns or (frame.stamp_ns,) * cameras
         delay_s = tuple(1e-9 * (stamps_ns[v.camera] - frame.stamp_ns) for v in self._rig.views)
         out = [f"cam{number}" for number, is_out in enumerate(left_out) if is_out]
         fault = Fault(FaultKind.CAMERA_LEFT_OUT, any(used), len(out), ", ".join(out))
         faults = (fault,) if out else ()
-        result = RigFrame(frame.index, frame.stamp_ns, tuple(views), used, delay_s, faults)
+        result = RigFrame(frame.index, frame.stamp_ns, views, used, delay_s, faults)
         if self.is_eager:
             result.start_features()
         return result
 
-    def _left_out(self, images: Sequence[Bytes | None]) -> list[bool]:
-        """Whether each camera gives no image, one without content, or the one before again."""
+    def _left_out(self, images: Sequence[Bytes | None]) -> tuple[list[bool], Repetition]:
+        """Whether each camera gives no image, one without content, or the one before again.
+
+        And whether all those that give one with content repeat it.
+        """
+        shown = [i if i is not None and has_content(i) else None for i in images]
         before = self._before or (None,) * len(images)
         self._before = tuple(images)
         changes = [image_change(*pair) for pair in zip(before, images, strict=True)]
         is_moving = any(each.motion_px > _MIN_MOVING_PX for each in changes)
-        return [
-            image is None
-            or not has_content(image)
-            or (is_moving and change.repetition is Repetition.IDENTICAL)
-            for image, change in zip(images, changes, strict=True)
+        left_out = [
+            image is None or (is_moving and change.repetition is Repetition.IDENTICAL)
+            for image, change in zip(shown, changes, strict=True)
         ]
+        return left_out, rig_repetition(before, shown, changes)
 
     def _hide_surround(self, images: Sequence[Bytes | None]) -> None:
         """Find the circles of wide lenses in their first images."""

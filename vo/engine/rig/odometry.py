@@ -31,6 +31,7 @@ from vo.engine.odometry_base import OdometryBase
 from vo.engine.recovery import LossPolicy, Segments
 from vo.engine.rig.extrinsics import RigExtrinsics
 from vo.engine.rig.frames import RigFrame, RigPreprocessor
+from vo.engine.rig.frozen import BestView
 from vo.engine.rig.mapper import RigMapper
 from vo.engine.rig.policy import RigKeyframePolicy
 from vo.engine.rig.starter import Metre, RigStarter
@@ -40,6 +41,7 @@ from vo.engine.rig.views import rig_views
 from vo.engine.rig.window import RigWindow, rig_window_size
 from vo.engine.snapshot import FrameResult
 from vo.engine.stages import BUILT_IN, Components, memory_of_run
+from vo.engine.tracking.frozen_camera import FrozenCamera
 from vo.engine.trajectory.builder import TrajectoryBuilder
 from vo.engine.warmup import warm_up
 
@@ -89,6 +91,8 @@ class RigOdometry(OdometryBase[RigFrame]):
         tied = self._views.body_from_views
         parts = self._map, frontend, config.tracking, tied, self.stopwatch
         self._tracker: RigTracker = RigTracker(*parts)
+        self._best = BestView(self._tracker, self._map)
+        self._frozen = FrozenCamera(self._best)
         self._window_optimizer = make_optimizer(config.smoothing, threads)
         of_window = self._map, self._window_optimizer, config.smoothing, self.stopwatch, size
         self._window = RigWindow(*of_window, self._views.cameras, self._unknown_lever)
@@ -158,10 +162,14 @@ class RigOdometry(OdometryBase[RigFrame]):
         if self._window.next_frame():
             self._apply()
         before = None if self._tracker.last is None else self._tracker.last.in_view(0)
+        if self._frozen.is_frozen(frame.views[self._best.number], self._recovery.segment):
+            self._newest_rig = frame, None
+            failure = Failure(FailureReason.REPEATED_IMAGE)
+            return FrameResult(frame.views[0], failure=failure, faults=frame.faults)
         if self._recovery.state is State.STARTING:
             tracked, keyframe = self._start(frame)
         else:
-            is_lost = self._recovery.state is State.LOST
+            is_lost = self._recovery.state is State.LOST or self._frozen.has_withheld
             tracked, keyframe = self._tracker.track(frame, is_lost=is_lost), None
         is_keyframe, view = keyframe is not None, frame.views[0]
         if isinstance(tracked, Failure):
@@ -178,6 +186,8 @@ class RigOdometry(OdometryBase[RigFrame]):
     def _take_in(self, frame: RigFrame, tracked: RigTracked) -> bool:
         """Continue from a frame; whether it is to become a keyframe."""
         self._recovery.found()
+        for each in self._frozen.resume(tracked.views[self._best.number]):
+            self._trajectory.add_frame(each, self._mapper.newest[0], self._tracker.motion.last)
         self._window.retie(self._tracker.update(frame, tracked))
         if self._unsettled > 0 and self.metre.is_known:
             self._settle(frame, tracked)

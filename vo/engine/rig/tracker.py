@@ -37,6 +37,7 @@ class RigTracker:
     Attributes:
         body_from_views: (V, 4, 4) in units of the map.
         last: the last tracked frame, None before the first of a segment.
+        knows_velocity: whether two frames of the segment have been tracked.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class RigTracker:
     ) -> None:
         self.body_from_views = body_from_views
         self.last: LastRigFrame | None = None
+        self.knows_velocity = False
         self.motion = ConstantVelocity()
         self.stopwatch = stopwatch
         self._velocity = BodyVelocity()
@@ -67,7 +69,7 @@ class RigTracker:
         self._velocity.restart()
         self._steps = StepCheck(is_metric=is_metric)
         self._steps.restart(frame.stamp_ns)
-        self.last = LastRigFrame(frame, tracked)
+        self.last, self.knows_velocity = LastRigFrame(frame, tracked), False
 
     def ahead(self, stamp_ns: int) -> Floats | None:
         """The pose of the body after the newest frame; None if it is unknown."""
@@ -87,7 +89,7 @@ class RigTracker:
             poses = self.motion.last, tracked.world_from_body
             moved = self._velocity.update(*poses, elapsed_s, before.frame.delay_s)
         self.motion.update(frame.stamp_ns, tracked.world_from_body)
-        self.last = LastRigFrame(frame, tracked)
+        self.last, self.knows_velocity = LastRigFrame(frame, tracked), True
         if before is None or moved is None:
             return None
         tied = moved @ self.body_from_views

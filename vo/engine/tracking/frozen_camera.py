@@ -7,14 +7,16 @@ that the camera has hardly moved after all, it did stand still, and they get its
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from vo.base.geometry.quantiles import median
+from vo.base.types import Floats, Ints
 from vo.engine.frontend.image_repetition import Repetition
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame
-from vo.engine.tracking.tracker import Tracker
 
 # Predicted motion in the image from which a repeated image is impossible. What differs by noise
 # may also be a camera that stops: it must have been faster, and the frame rate higher.
@@ -28,10 +30,32 @@ _STILL_PX = 1.0  # motion of landmarks from which the camera goes on, whatever n
 _MAX_START_RATIO = 1.2  # of the motion in the first frame after a stop to that before it
 
 
+class MovingTracker(Protocol):
+    """What is asked of `Tracker`, and of one view of a rig."""
+
+    @property
+    def knows_velocity(self) -> bool:
+        """Whether two frames of the segment have been tracked."""
+        ...
+
+    @property
+    def last(self) -> LastFrame | None:
+        """The last tracked frame."""
+        ...
+
+    def motion_px(self, ids: Ints, stamp_ns: int, last_from_cam: Floats | None = None) -> float:
+        """Median motion of landmarks in the image from the last frame to a time or a pose, or 0."""
+        ...
+
+    def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
+        """last_from_cam (4, 4) by sparse image alignment; None if it fails."""
+        ...
+
+
 class FrozenCamera:
     """Withholds poses from repeated images of a moving camera."""
 
-    def __init__(self, tracker: Tracker) -> None:
+    def __init__(self, tracker: MovingTracker) -> None:
         self._tracker = tracker
         self._withheld: list[FrameId] = []
         self._stamp_ns = 0  # of the frame before

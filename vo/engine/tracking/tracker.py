@@ -139,16 +139,9 @@ class Tracker:
 
     def motion_px(self, ids: Ints, stamp_ns: int, last_from_cam: Floats | None = None) -> float:
         """Median motion of landmarks in the image from the last frame to a time or a pose, or 0."""
-        rows = self._map.rows(ids)
-        xyz = self._map.xyz[rows[rows >= 0]]
         last, moved = self._motion.last, last_from_cam
-        poses = last, self._motion.predict(stamp_ns) if moved is None else last @ moved
-        before, after = (transform_points(inverse(pose), xyz) for pose in poses)
-        seen = (before[:, 2] > 0) & (after[:, 2] > 0)
-        if not seen.any():
-            return 0.0
-        motion = self._map.rig.project(after[seen]) - self._map.rig.project(before[seen])
-        return median(np.hypot(motion[:, 0], motion[:, 1]))
+        now = self._motion.predict(stamp_ns) if moved is None else last @ moved
+        return median_motion_px(self._map, ids, last, now)
 
     def predicted(self, frame: PreprocessedFrame) -> PosePrior | None:
         """The pose of a frame that was not tracked, by an inertial sensor; None if unknown."""
@@ -377,3 +370,15 @@ class Tracker:
         octave = frame.keypoints.octave[features].astype(np.float64)
         xy = self._map.rig.undistort(frame.keypoints.xy[features])
         return self._estimator.from_matches(rows, xy, self._scale_factor**octave)
+
+
+def median_motion_px(local_map: LocalMap, ids: Ints, last: Floats, now: Floats) -> float:
+    """Median motion of landmarks in the image between two poses (4, 4) of a camera, or 0."""
+    rows = local_map.rows(ids)
+    xyz = local_map.xyz[rows[rows >= 0]]
+    before, after = (transform_points(inverse(pose), xyz) for pose in (last, now))
+    seen = (before[:, 2] > 0) & (after[:, 2] > 0)
+    if not seen.any():
+        return 0.0
+    motion = local_map.rig.project(after[seen]) - local_map.rig.project(before[seen])
+    return median(np.hypot(motion[:, 0], motion[:, 1]))
