@@ -46,9 +46,7 @@ class PatchConfig(Section):
     max_shift_px: float = expert(
         4.0, gt=0, description="maximum shift of an aligned patch from its predicted position"
     )
-    sigma_px: float = expert(
-        0.5, gt=0, description="standard deviation of an aligned position, pixels"
-    )
+    sigma_px: float = expert(0.5, gt=0, description="sigma of an aligned position, pixels")
 
 
 class StereoConfig(Section):
@@ -177,7 +175,7 @@ _METRIC_WINDOW, _MONO_WINDOW = WindowSize(6, 4, 1000), WindowSize(8, 16, 1600)
 
 
 class SmoothingConfig(Section):
-    """Sliding-window bundle adjustment with GTSAM."""
+    """Sliding-window bundle adjustment."""
 
     window: int | None = Field(
         None, ge=2, le=100, description="keyframes whose poses are optimised; null: 6, mono 8"
@@ -192,6 +190,7 @@ class SmoothingConfig(Section):
     relative_error_tolerance: float = expert(
         1e-3, gt=0, description="relative decrease of the cost below which iterations stop"
     )
+    solver: Literal["auto", "gtsam"] = expert("auto", description="of windows; gtsam is slower")
     huber: float = expert(0.3, gt=0, description="Huber threshold, standard deviations")
     gate: float = expert(
         4.0, gt=0, description="residual from which an observation is removed, standard deviations"

@@ -68,6 +68,15 @@ def test_errors_with_noise_are_small(stereo: bool, fixed: int) -> None:
 
 
 @pytest.mark.parametrize(("stereo", "fixed"), KINDS)
+def test_gtsam_finds_the_same_poses(stereo: bool, fixed: int) -> None:
+    problem = drive(stereo=stereo, fixed=fixed).with_noise(seed=1).with_guess().problem
+    own = solve(problem, PATIENT)
+    other = solve(problem, PATIENT.model_copy(update={"solver": "gtsam"}))
+    np.testing.assert_allclose(other.world_from_cam, own.world_from_cam, atol=1e-5)
+    np.testing.assert_allclose(other.points[own.point_ok], own.points[own.point_ok], atol=1e-3)
+
+
+@pytest.mark.parametrize(("stereo", "fixed"), KINDS)
 def test_fixed_poses_stay(stereo: bool, fixed: int) -> None:
     window = drive(stereo=stereo, fixed=3).with_noise(seed=2).with_guess()
     solution = solve(window.problem, CONFIG)

@@ -49,7 +49,7 @@ def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWi
     bundle = Bundle(weighted, point_ok, config)
     states: dict[int, Floats] = {}
     information = None
-    if problem.factors:
+    if problem.factors or config.solver == "gtsam":
         from vo.engine.backend.window_graph import WindowGraph  # importing GTSAM takes long
 
         graph = WindowGraph(problem, gauge, bundle)

@@ -1,4 +1,4 @@
-"""Factor graph of a window with further factors, such as inertial ones, optimised by GTSAM.
+"""Factor graph of a window, optimised by GTSAM: with further factors, or where it is chosen.
 
 The observations are one factor on all free poses, from which the landmarks are eliminated: with one
 factor for each of some six thousand observations, building and linearising the graph takes GTSAM
