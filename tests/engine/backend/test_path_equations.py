@@ -138,12 +138,12 @@ def test_covariances_are_those_of_the_dense_inverse() -> None:
 
 
 def test_the_drift_of_a_long_path_is_removed() -> None:
-    """By a matrix with a twentieth of the blocks of a dense one."""
+    """By a matrix with a twentieth of the blocks of a dense one, and little damping."""
     truth, problem = _walk(300)
     usable = np.ones(len(problem.points), bool)
     levels = levels_of(coupled_poses(usable, problem.point, problem.keyframe, 300))
     assert levels.row[299] + 299 < 300 * 300 / 20
-    path = adjust_path(problem, NO_MOTIONS, _CONFIG, 1e-6)
+    path = adjust_path(problem, NO_MOTIONS, _CONFIG)
     assert path is not None
     np.testing.assert_array_equal(path.world_from_cam[0], truth[0])
-    assert _error(truth, path.world_from_cam) < 0.1 * _error(truth, problem.world_from_cam)
+    assert _error(truth, path.world_from_cam) < 0.05 * _error(truth, problem.world_from_cam)

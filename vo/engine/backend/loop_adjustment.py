@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from vo.base.config import SmoothingConfig
 
 _HUBER = 1.345  # standard deviations from which the error of a motion weighs less
-_FIRST_DAMPING, _MAX_DAMPING = 1e-6, 1e3  # relative to the diagonal of the hessian
+_FIRST_DAMPING, _MAX_DAMPING = 1e-8, 1e3  # relative to the diagonal of the hessian
 _MAX_STEPS = 30
 _MAX_WIDTH = 800  # poses of adjacent levels: steps of so many take 5 s and 0.6 GB
 _MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
@@ -72,7 +72,7 @@ def adjust_path(
     """Optimise all poses but the first, and all points; None where they cannot be optimised.
 
     The fixed poses and further factors of the problem are ignored. Steps end at a relative decrease
-    of the cost; the damping, which slows a drift of the scale, is less where that is.
+    of the cost; the damping, which holds the drift of long paths, is less where that is.
     """
     usable = _usable(problem)
     if len(problem.world_from_cam) < 2 or not usable.any():
