@@ -40,6 +40,7 @@ class AdjustedRig(NamedTuple):
         point_ok: (M,) False for points with one observation, or behind a view at the end.
         metre: change of the length of a metre in the map.
         ties: how the views are tied to the bodies.
+        gauge: (6 B,) information on the bodies that holds the scale of a new map.
     """
 
     world_from_cam: Floats
@@ -48,6 +49,7 @@ class AdjustedRig(NamedTuple):
     point_ok: Bools
     metre: float
     ties: Ties
+    gauge: Floats
 
     def information(self, by_views: Floats) -> tuple[Floats, float]:
         """That on the bodies, and on the length of a metre, by that on the views (6 K, 6 K)."""
@@ -60,6 +62,7 @@ class AdjustedRig(NamedTuple):
         coupling = _of_body(coupled, of_body, self.ties.views)[free]
         own = float(by_metre @ coupled)
         inverse_free = np.linalg.pinv(on_bodies[np.ix_(free, free)], hermitian=True)
+        on_bodies[np.diag_indices_from(on_bodies)] += self.gauge
         return on_bodies, max(0.0, own - float(coupling @ inverse_free @ coupling))
 
 
@@ -76,7 +79,7 @@ def adjust_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> A
         return None
     _, depth = residuals(problem, poses, points)
     ok[problem.point[~(depth > 0)]] = False
-    return AdjustedRig(poses, held, points, ok, state.metre, ties)
+    return AdjustedRig(poses, held, points, ok, state.metre, ties, window.gauge)
 
 
 class _RigWindow:
@@ -146,6 +149,13 @@ class _RigWindow:
         corner = float(self._by_metre @ coupled)
         whole = np.block([[hessian, side[:, None]], [side[None], np.array([[corner]])]])
         return whole, np.append(gradient, self._by_metre @ normal.gradient)
+
+    @property
+    def gauge(self) -> Floats:
+        """(6 B,) information on the bodies by the prior."""
+        of_bodies = np.zeros(6 * len(self.held))
+        of_bodies[np.repeat(~self.held, 6)] = self._prior[: 6 * len(self._free)]
+        return of_bodies
 
     def _scale_prior(self) -> Floats:
         """Information on single variables: keeps the scale of a new map, and what is known."""
