@@ -48,7 +48,7 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 if TYPE_CHECKING:
     from vo.engine.features.second_kind import SecondKind
     from vo.engine.inertial.prediction import InertialPredictor
-    from vo.engine.inertial.samples import InertialSensor, SampleReader
+    from vo.engine.inertial.samples import InertialSensor
     from vo.engine.inertial_path.alignment import InertialAlignment
     from vo.engine.memory.final_adjustment import FinalAdjustment
     from vo.engine.memory.memory import Memory
@@ -83,6 +83,14 @@ BUILT_IN = Components()
 
 # With one camera, fixed keyframes that do not go to stores yet: places must be known early.
 _SETTLING = 2
+
+
+class InertialParts(NamedTuple):
+    """The motion model, and what else uses an inertial sensor; None without one."""
+
+    motion: MotionModel
+    predictor: InertialPredictor | None = None
+    alignment: InertialAlignment | None = None
 
 
 class Stages(NamedTuple):
@@ -120,15 +128,14 @@ def make_stages(
     frontend, second = _frontend(config, components)
     trajectory = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=rectified.is_metric)
     descriptors = frontend.extractor.descriptor_format
-    reader = _reader(components.inertial_sensor)
-    predictor = _predictor(reader, components.inertial_noise, rectified)
-    inertial = _inertial(reader, predictor, rectified, trajectory, stopwatch)
+    of_sensor = components, rectified, trajectory, stopwatch
+    usual, predictor, inertial = inertial_parts(*of_sensor, is_metric=rectified.is_metric)
     memory = memory_of_run(rectified, descriptors, config, trajectory, stopwatch, inertial)
     final = _final(frontend, config, trajectory, stopwatch)
     stores = [each for each in (components.keyframe_store, memory, final) if each is not None]
     local_map = _local_map(rectified, descriptors, stores, config)
     mapper = LocalMapper(local_map, frontend, config.mapping, stopwatch)
-    motion = components.motion or _motion(reader, predictor, rectified)
+    motion = components.motion or usual
     tracker = Tracker(local_map, frontend, motion, config.tracking, config.start, stopwatch)
     optimizer = make_optimizer(config.smoothing, threads)
     factors = list(components.factor_sources)
@@ -164,18 +171,35 @@ def make_stages(
     )
 
 
-def _inertial(
-    reader: SampleReader | None,
-    predictor: InertialPredictor | None,
+def inertial_parts(
+    components: Components,
     rig: RectifiedRig,
     trajectory: TrajectoryBuilder,
     stopwatch: Stopwatch,
-) -> InertialAlignment | None:
-    if reader is None or predictor is None:
-        return None
-    from vo.engine.inertial_path.alignment import InertialAlignment
+    *,
+    is_metric: bool,
+) -> InertialParts:
+    """What uses the inertial sensor; cameras with a scale and a global shutter need no gyroscope.
 
-    return InertialAlignment(reader, predictor, rig, trajectory, stopwatch)
+    `is_metric`: whether cameras alone give the scale.
+    """
+    sensor = components.inertial_sensor
+    if sensor is None or sensor.cam0_from_imu is None:
+        return InertialParts(ConstantVelocity())
+    from vo.engine.inertial.prediction import InertialPredictor
+    from vo.engine.inertial.samples import SampleReader
+    from vo.engine.inertial_path.alignment import InertialAlignment
+    from vo.engine.tracking.inertial_motion import GyroMotion, InertialMotion
+
+    reader = SampleReader(sensor)
+    noise = components.inertial_noise or sensor.noise or NOISE_CLASSES["consumer"]
+    imu_from_cam = inverse(sensor.cam0_from_imu) @ rig.cam0_from_rectified
+    predictor = InertialPredictor(reader, noise, imu_from_cam)
+    needs_gyro = not is_metric or rig.readout_s != 0.0
+    usual = GyroMotion(reader, imu_from_cam) if needs_gyro else ConstantVelocity()
+    motion = InertialMotion(usual, predictor, is_metric=is_metric)
+    parts = reader, predictor, trajectory, stopwatch
+    return InertialParts(motion, predictor, InertialAlignment(*parts, is_metric=is_metric))
 
 
 def memory_of_run(
@@ -211,41 +235,6 @@ def _final(
     from vo.engine.memory.final_adjustment import FinalAdjustment
 
     return FinalAdjustment(trajectory, frontend, config, stopwatch)
-
-
-def _reader(sensor: InertialSensor | None) -> SampleReader | None:
-    if sensor is None:
-        return None
-    from vo.engine.inertial.samples import SampleReader
-
-    return SampleReader(sensor)
-
-
-def _predictor(
-    reader: SampleReader | None, noise: ImuNoise | None, rig: RectifiedRig
-) -> InertialPredictor | None:
-    """What predicts through lost frames, None without an inertial sensor."""
-    if reader is None or reader.sensor.cam0_from_imu is None:
-        return None
-    from vo.engine.inertial.prediction import InertialPredictor
-
-    noise = noise or reader.sensor.noise or NOISE_CLASSES["consumer"]
-    imu_from_cam = inverse(reader.sensor.cam0_from_imu) @ rig.cam0_from_rectified
-    return InertialPredictor(reader, noise, imu_from_cam)
-
-
-def _motion(
-    reader: SampleReader | None, predictor: InertialPredictor | None, rig: RectifiedRig
-) -> MotionModel:
-    """The built-in motion model; two cameras with a global shutter need no gyroscope."""
-    if reader is None or predictor is None:
-        return ConstantVelocity()
-    from vo.engine.tracking.inertial_motion import GyroMotion, InertialMotion
-
-    if rig.is_metric and rig.readout_s == 0.0:
-        return InertialMotion(ConstantVelocity(), predictor)
-    turning = GyroMotion(reader, predictor.imu_from_cam)
-    return InertialMotion(turning, predictor, is_metric=rig.is_metric)
 
 
 def _local_map(

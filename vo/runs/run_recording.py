@@ -40,6 +40,7 @@ from vo.recordings.formats.warning_kinds import collected_warnings
 from vo.recordings.sources.imu import usable_noise
 from vo.recordings.sources.live.address import LiveAddress, parse_address
 from vo.recordings.sources.registry import open_source
+from vo.recordings.sources.sequence import ImageSequence
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.camera_poses import save_calibration
 from vo.runs.inertial_checks import Unusable, why_unusable
@@ -283,15 +284,21 @@ def _open(source: str | Path | FrameStream, config: Config, options: RunOptions)
     are_alike = bool((opened.rig.cam0_from_cams[:, 2, 2] > _ALIKE).all())
     sensor = next(iter(opened.imus), None) if config.inertial.enabled else None
     is_placed = sensor is not None and sensor.cam0_from_imu is not None
-    if options.mode != "auto" or are_alike or not is_placed or overlaps(opened.rig):
+    is_usable = are_alike or not is_placed or not _has_late_cameras(opened)
+    if options.mode != "auto" or is_usable or overlaps(opened.rig):
         return opened
     _log.warning(
-        "%s: its %d cameras see nothing in common; only cam0 and the inertial sensor are used, for "
-        "metres (`inertial.enabled=false`: all cameras, without it)",
+        "%s: its %d cameras see nothing in common, at different times; only cam0 and the inertial "
+        "sensor are used, for metres (`inertial.enabled=false`: all cameras, without it)",
         opened.name,
         len(opened.rig.cameras),
     )
     return open_source(source, mode="mono", **_reading(options))
+
+
+def _has_late_cameras(stream: FrameStream) -> bool:
+    """Whether images of a frame have different times, which blurs the motions of a rig."""
+    return isinstance(stream, ImageSequence) and stream.image_stamps_ns is not None
 
 
 def _reading(options: RunOptions) -> dict[str, Any]:
@@ -341,10 +348,11 @@ def _with_imu(opened: OpenedRun) -> tuple[OpenedRun, Components]:
         return opened, components
     sensor = stream.imus[0]
     others = [each for each in opened.scale.all if each is not opened.scale.wheel]
-    reason = "it cannot be combined with another source of the scale"
-    if not others or stream.rig.is_metric:
-        is_rig = is_tracked_as_rig(stream.rig, opened.config, has_sensor=True)
-        reason = "a rig of cameras is tracked without it" if is_rig else ""
+    reason = ""
+    if others and not stream.rig.is_metric:
+        reason = "it cannot be combined with another source of the scale"
+    elif _has_late_cameras(stream) and is_tracked_as_rig(stream.rig, opened.config):
+        reason = "the images of the rig have different times"
     if reason:
         return replace(opened, unused_imu=InertialUse(sensor.name, reason)), components
     try:

@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.records.inertial_use import InertialStates, InertialUse
 from vo.base.stopwatch import Stopwatch, timed
@@ -63,27 +62,28 @@ class InertialAlignment:
         self,
         reader: SampleReader,
         predictor: InertialPredictor,
-        rig: RectifiedRig,
         trajectory: TrajectoryBuilder,
         stopwatch: Stopwatch,
+        *,
+        is_metric: bool,
     ) -> None:
         self.stopwatch = stopwatch
         self.contradiction: str | None = None
         sensor = reader.sensor
         self._reader = reader
         self._trajectory = trajectory
-        self._is_metric = rig.is_metric
+        self._is_metric = is_metric
         assert sensor.cam0_from_imu is not None
         self._predictor = predictor
         self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
         self._adjoint = adjoint(sensor.cam0_from_imu)
         noise, imu_from_cam = predictor.noise, predictor.imu_from_cam
-        self._chain = InertialChain(reader, noise, imu_from_cam, is_metric=self._is_metric)
+        self._chain = InertialChain(reader, noise, imu_from_cam, is_metric=is_metric)
         self._offset = OffsetSearch(reader)
         self._gaps = InertialGaps(trajectory, reader, predictor.noise, sensor.cam0_from_imu)
         self._turns = InertialTurns(trajectory, predictor, reader, self._imu_from_cam0)
         self._newest = -1  # id of the newest keyframe whose states were estimated
-        self.map_poses = InertialMapPoses(trajectory, rig.cam0_from_rectified)
+        self.map_poses = InertialMapPoses(trajectory, trajectory.cam0_from_rectified)
         # Of later segments of a metric path: the first segment of their world, and the transform
         # from their odometry frame to its own.
         self._joints: dict[int, tuple[int, Floats]] = {}
@@ -121,7 +121,7 @@ class InertialAlignment:
     @timed("inertial")
     def begin_frame(self, local_map: LocalMap) -> None:
         """Estimate the states of keyframes that were optimised since the last frame."""
-        keyframes = [k for k in local_map.keyframes if k.covariance is not None]
+        keyframes = [k for k in local_map.of_first_view if k.covariance is not None]
         if not keyframes or keyframes[-1].id == self._newest:
             return
         self._newest = keyframes[-1].id
@@ -149,7 +149,7 @@ class InertialAlignment:
     @timed("inertial")
     def finish(self, local_map: LocalMap) -> None:
         """Estimate all states together, after the last frame."""
-        self._set(local_map.keyframes)
+        self._set(local_map.of_first_view)
         self._chain.update()
         if self._measure_offset():
             self._chain.read_again()

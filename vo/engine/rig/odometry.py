@@ -40,7 +40,7 @@ from vo.engine.rig.tracker import RigTracker
 from vo.engine.rig.views import rig_views
 from vo.engine.rig.window import RigWindow, rig_window_size
 from vo.engine.snapshot import FrameResult
-from vo.engine.stages import BUILT_IN, Components, memory_of_run
+from vo.engine.stages import BUILT_IN, Components, inertial_parts, memory_of_run
 from vo.engine.tracking.frozen_camera import FrozenCamera
 from vo.engine.trajectory.builder import TrajectoryBuilder
 from vo.engine.warmup import warm_up
@@ -51,11 +51,11 @@ _SETTLING = 3  # frames until the velocity is known, where images have different
 class RigOdometry(OdometryBase[RigFrame]):
     """The odometry of a rig.
 
-    Its first view alone closes loops; inertial sensors are not used.
+    Its first view alone closes loops.
 
     Args:
         rig: the cameras, as recorded.
-        components: `extractor` and `matcher` may be given.
+        components: `extractor`, `matcher` and an inertial sensor may be given.
 
     Raises:
         CalibrationError, ConfigError: the cameras cannot be rectified, or a mask cannot be used.
@@ -82,15 +82,18 @@ class RigOdometry(OdometryBase[RigFrame]):
         size = rig_window_size(config.smoothing, self._views.body_from_views)
         descriptors = frontend.extractor.descriptor_format
         path = TrajectoryBuilder(rectified.cam0_from_rectified, is_metric=True)
-        found = rectified, descriptors, config, path, self.stopwatch
-        memory = memory_of_run(*found, is_metric=True) if self._overlapping else None
-        self._trajectory, self.map_alignment = path, MapAlignment(memory, None)
+        is_metric = bool(self._overlapping)
+        of_sensor = components, rectified, path, self.stopwatch
+        motion, predictor, inertial = inertial_parts(*of_sensor, is_metric=is_metric)
+        found = rectified, descriptors, config, path, self.stopwatch, inertial
+        memory = memory_of_run(*found, is_metric=True) if is_metric else None
+        self._trajectory, self.map_alignment = path, MapAlignment(memory, inertial)
         stores, capacity = [] if memory is None else [memory], count * (size.free + size.fixed)
         self._map = LocalMap(rectified, capacity, descriptors, stores, views=count)
         self._mapper = RigMapper(self._map, frontend, config.mapping, self.stopwatch, count)
         tied = self._views.body_from_views
         parts = self._map, frontend, config.tracking, tied, self.stopwatch
-        self._tracker: RigTracker = RigTracker(*parts)
+        self._tracker: RigTracker = RigTracker(*parts, motion)
         self._best = BestView(self._tracker, self._map)
         self._frozen = FrozenCamera(self._best)
         self._window_optimizer = make_optimizer(config.smoothing, threads)
@@ -106,7 +109,7 @@ class RigOdometry(OdometryBase[RigFrame]):
         self._policy = RigKeyframePolicy(config, count)
         self._unsettled = 0  # frames to make the first map anew, as the velocity was unknown
         self._config = config
-        losses = LossPolicy(config.tracking.recover_frames, None)
+        losses = LossPolicy(config.tracking.recover_frames, predictor)
         self._recovery = Segments(losses, self._give_up)
         self._newest_rig: tuple[RigFrame, RigTracked | None] | None = None
 
@@ -176,7 +179,8 @@ class RigOdometry(OdometryBase[RigFrame]):
             if self._recovery.state is not State.STARTING:
                 self._recovery.lose(frame)
             self._newest_rig = frame, None
-            return FrameResult(view, failure=tracked, faults=frame.faults)
+            predicted = self._tracker.motion.of_lost(frame.stamp_ns)
+            return FrameResult(view, failure=tracked, predicted=predicted, faults=frame.faults)
         if keyframe is None:
             is_keyframe = self._take_in(frame, tracked)
         self._newest_rig = frame, tracked
@@ -230,6 +234,7 @@ class RigOdometry(OdometryBase[RigFrame]):
         self._note_metre()
         self._map.clear()
         self._tracker.last = None
+        self._tracker.motion.give_up()
 
     @timed("start")
     def _start(self, frame: RigFrame) -> tuple[RigTracked | Failure, Keyframe | None]:

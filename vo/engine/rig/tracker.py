@@ -21,7 +21,7 @@ from vo.engine.rig.pose_fit import RigObservations, RigTies, fit_rig
 from vo.engine.rig.tracked import LastRigFrame, RigTracked, landmarks_per_view, unobserved
 from vo.engine.rig.velocity import BodyVelocity
 from vo.engine.tracking.landmark_alignment import LandmarkAligner
-from vo.engine.tracking.motion_model import ConstantVelocity
+from vo.engine.tracking.motion_model import MotionModel, PosePrior
 from vo.engine.tracking.pose_estimation import PoseEstimator
 from vo.engine.tracking.sparse_image_alignment import sparse_image_alignment
 from vo.engine.tracking.step_check import Step, StepCheck
@@ -47,11 +47,12 @@ class RigTracker:
         config: TrackingConfig,
         body_from_views: Floats,
         stopwatch: Stopwatch,
+        motion: MotionModel,
     ) -> None:
         self.body_from_views = body_from_views
         self.last: LastRigFrame | None = None
         self.knows_velocity = False
-        self.motion = ConstantVelocity()
+        self.motion = motion
         self.stopwatch = stopwatch
         self._velocity = BodyVelocity()
         self._steps = StepCheck(is_metric=True)
@@ -71,7 +72,7 @@ class RigTracker:
         self._steps.restart(frame.stamp_ns)
         self.last, self.knows_velocity = LastRigFrame(frame, tracked), False
 
-    def ahead(self, stamp_ns: int) -> Floats | None:
+    def ahead(self, stamp_ns: int) -> Floats | PosePrior | None:
         """The pose of the body after the newest frame; None if it is unknown."""
         return None if self.last is None else self.motion.ahead(stamp_ns)
 
@@ -197,7 +198,7 @@ class RigTracker:
         visible = [self._visible(frame, v, world_from_body @ tied[v]) for v in range(len(tied))]
         observed = []
         for v, seen in enumerate(visible):
-            self._aligner.world_from_image = world_from_body @ tied[v]
+            self._aligner.world_from_image = (world_from_body @ tied[v])[:3, :3]
             found = None if seen is None else self._aligner.align(seen, frame.views[v], None)
             observed.append(unobserved() if found is None else found)
         numbers = np.repeat(np.arange(len(observed)), [len(each) for each in observed])
