@@ -332,3 +332,23 @@ def test_a_rig_is_described_and_drawn(tmp_path: Path) -> None:
     rig = sheet[-640:, :640]
     # Up is ahead, where two cameras see; the middle of the car is seen by none.
     assert rig[40, 320] < rig[320, 40] < 255 and rig[350, 320] == 255
+
+
+def test_two_cameras_that_see_nothing_in_common_are_no_pair(tmp_path: Path) -> None:
+    for number in range(2):
+        (tmp_path / f"cam{number}").mkdir()
+        for i in range(3):
+            grey = np.random.default_rng(i).integers(0, 255, (400, 400), dtype=np.uint8)
+            cv2.imwrite(str(tmp_path / f"cam{number}" / f"{10**18 + i * 10**8}.png"), grey)
+    shutil.copy(camera_file("drone"), tmp_path / "calibration.yaml")
+    opened = open_leniently(tmp_path)
+    report = inspect(opened)
+    assert report.pair is None and report.stereo is None and "--mode" not in report.command
+    assert not any(found.level == "error" for found in report.findings)
+    assert report.calibration is not None
+    assert [round(m.turned_deg) for m in report.calibration.mounts] == [0, 180]
+    write_contact_sheet(tmp_path / "sheet.png", opened)
+    sheet = cv2.imread(str(tmp_path / "sheet.png"), cv2.IMREAD_GRAYSCALE)
+    assert sheet is not None
+    rig = sheet[-640:, :640]
+    assert rig[40, 320] == rig[600, 320] < 255 and rig[320, 40] == 255

@@ -60,6 +60,11 @@ def overlaps(rig: Rig) -> list[Overlap]:
     return sorted(found, key=lambda each: -each.ratio)
 
 
+def is_rig(rig: Rig) -> bool:
+    """Whether there are more than two cameras, or two that see nothing in common."""
+    return bool(rig.further) or (rig.cam1 is not None and not overlaps(rig))
+
+
 def sees(camera: Camera, cam0_from_cam: Floats, points: Floats) -> Bools:
     """Whether points (N, 3), in the frame of camera 0, are in the image of a camera."""
     cam_from_cam0 = inverse(cam0_from_cam)

@@ -15,6 +15,7 @@ from vo.base.errors import OutputError
 from vo.base.files.bounded_files import read_bytes
 from vo.base.geometry import cameras
 from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.geometry.transforms import inverse
 from vo.base.records.snapshot import View
 from vo.base.types import Bytes, Camera, Estimate, Floats, Floats32, Rig, Trajectory
@@ -64,7 +65,7 @@ class ColmapRecorder(MapRecorder):
         Raises:
             OutputError: the folder cannot be written to, or it has models or images of others.
         """
-        self._is_rectified = bool(rig.further) or rectified_rig(rig).maps[0] is not None
+        self._is_rectified = is_rig(rig) or rectified_rig(rig).maps[0] is not None
         try:
             self._refuse_foreign_files()
             (self._folder / _IMAGES).mkdir(parents=True, exist_ok=True)

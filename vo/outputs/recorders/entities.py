@@ -9,6 +9,7 @@ from __future__ import annotations
 import rerun as rr
 import rerun.blueprint as rrb
 
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.types import Rig
 
 FRAME_TIMELINE = "frame"
@@ -112,7 +113,7 @@ def _map_view() -> rrb.Spatial3DView:
 
 def _images(rig: Rig) -> rrb.Container:
     views = [_image_view("Left", LEFT)]
-    if rig.further:
+    if is_rig(rig):
         names = [f"cam{number}" for number in range(1, len(rig.cameras))]
         return rrb.Grid(*views, *(_image_view(name, f"{CAM0}/{name}") for name in names))
     if rig.is_stereo:

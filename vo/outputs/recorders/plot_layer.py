@@ -10,6 +10,7 @@ import rerun as rr
 
 from vo.base.failures import describe
 from vo.base.geometry.quantiles import median, percentiles
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.geometry.similarity import Similarity, umeyama
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.records.metric_scale import MetricScale
@@ -169,7 +170,7 @@ class Counters:
 
     def _title(self) -> str:
         kind = "rgbd" if self.rig.has_depth else "stereo" if self.rig.is_stereo else "mono"
-        kind = f"{len(self.rig.cameras)} cameras" if self.rig.further else kind
+        kind = f"{len(self.rig.cameras)} cameras" if is_rig(self.rig) else kind
         return f"**{self.name}**, {kind}, {self.rig.cam0.width} x {self.rig.cam0.height} px\n"
 
 

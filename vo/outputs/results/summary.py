@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from vo.base.failures import Failure
-from vo.base.geometry.rig_overlap import overlaps
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.records.calibration_errors import (
     CalibrationErrors,
     CameraPoseError,
@@ -81,7 +81,7 @@ RunMode = Literal["mono", "stereo", "rgbd", "rig"]
 
 def mode_of(rig: Rig) -> RunMode:
     """Which kind of cameras a run has."""
-    if rig.further or (rig.cam1 is not None and not overlaps(rig)):
+    if is_rig(rig):
         return "rig"
     return "rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono"
 

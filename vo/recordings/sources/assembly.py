@@ -17,7 +17,7 @@ import numpy as np
 from vo.base.errors import CalibrationError, NoCalibration, NoPairCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.cameras import equirectangular
-from vo.base.geometry.rig_overlap import overlaps
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.types import Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import (
     Calibration,
@@ -147,7 +147,7 @@ def _are_apart(contents: RecordingContents, rig: Rig) -> bool:
     """Whether two cameras see nothing in common, by one clock: they are a rig, and no pair."""
     if rig.cam1 is None or not contents.right or contents.right_offset_ns is not None:
         return False
-    if overlaps(rig):
+    if not is_rig(rig):
         return False
     interval_ns = median_interval_ns([shot.stamp_ns for shot in contents.left])
     return abs(constant_offset_ns(contents.left, contents.right)) <= interval_ns

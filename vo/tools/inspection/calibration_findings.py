@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.geometry.rectification import rectified_rig
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.types import Rig
 from vo.tools.inspection.image_records import CameraReport, StereoReport
 from vo.tools.inspection.reports import Finding, LensReport, Report
@@ -67,7 +68,7 @@ def _baseline(length_m: float, depth_m: float | None) -> Iterator[Finding]:
 
 def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
     """Findings about the stereo pair, of a larger rig its first two if they are one."""
-    if rig.cam1_from_cam0 is None or (rig.further and report.pair is None):
+    if rig.cam1_from_cam0 is None or (is_rig(rig) and report.pair is None):
         return
     depth_m = None if report.stereo is None else report.stereo.depth_m
     yield from _baseline(float(np.linalg.norm(rig.cam1_from_cam0[:3, 3])), depth_m)

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from vo.base.errors import SourceError
+from vo.base.geometry.rig_overlap import is_rig
 from vo.base.types import Bytes
 from vo.engine.frontend.image_faults import blur
 from vo.recordings.sources.grey_levels import GreyLevels, find_grey_levels
@@ -133,7 +134,7 @@ def write_contact_sheet(path: Path, opened: OpenedRecording) -> None:
         opened.close()
     if not rows:
         raise SourceError(f"{opened.path} contains no readable image")
-    if opened.rig is not None and opened.rig.further:
+    if opened.rig is not None and is_rig(opened.rig):
         drawn = draw_rig(opened.rig)
         beside = np.full((drawn.shape[0], rows[0].shape[1] - drawn.shape[1]), 255, np.uint8)
         rows.append(np.hstack([drawn, beside]))

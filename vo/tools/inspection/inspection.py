@@ -9,7 +9,7 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.cameras import directions
 from vo.base.geometry.rectification import rectified_rig
-from vo.base.geometry.rig_overlap import overlap_ratios, overlaps
+from vo.base.geometry.rig_overlap import is_rig, overlap_ratios, overlaps
 from vo.base.geometry.transforms import inverse, rotation_angle
 from vo.base.types import Camera, Floats, Ints, Rig, Trajectory
 from vo.recordings.formats.warning_kinds import collected_warnings
@@ -98,7 +98,7 @@ def _is_pair(opened: OpenedRecording) -> bool:
         return opened.roles_known and len(opened.cameras) == 2
     first = next(iter(overlaps(opened.rig.first(2))), None)
     is_seen = first is not None and first.ratio >= _MIN_IN_COMMON
-    return is_seen or not opened.rig.further
+    return is_seen or not is_rig(opened.rig)
 
 
 def _with_motion(
@@ -171,7 +171,7 @@ def _calibration(rig: Rig, source: str) -> CalibrationReport:
         _place(cam1_in_cam0),
         turned_deg,
         source,
-        _mounts(rig) if rig.further else (),
+        _mounts(rig) if is_rig(rig) else (),
     )
 
 

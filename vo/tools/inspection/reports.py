@@ -64,7 +64,7 @@ class CalibrationReport:
     cam1_is: Place | None = None
     cam1_turned_deg: float | None = None  # rotation between the cameras; None with one camera
     source: str = ""  # its file and format; empty if it is part of a log
-    mounts: tuple[MountReport, ...] = ()  # the cameras of a rig of more than two
+    mounts: tuple[MountReport, ...] = ()  # the cameras of a rig
 
 
 @dataclass(frozen=True)
