@@ -9,7 +9,7 @@ import numpy as np
 from data_synth.cameras import load_rig, with_cameras
 from data_synth.motion.body_path import poses_at
 from data_synth.motion.imu import measure, with_effects
-from data_synth.motion.motions import looking_aside, make_path, mount
+from data_synth.motion.motions import looking_aside, make_path, mount, moved_aside
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import Recipe
 from data_synth.records import BodyTruth, Imu, MoverTruth, Recording
@@ -58,7 +58,7 @@ def make_plan(recipe: Recipe) -> Plan:
     scene = make_scene(recipe.world, recipe.seed, recipe.effects.movers, recipe.session)
     path = make_path(
         recipe.motion,
-        scene.course,
+        moved_aside(scene.course, recipe.aside_m),
         lambda points: clearance(scene.world, points),
         seconds=path_seconds(recipe.effects, recipe.seconds),
         speed=recipe.speed,

@@ -116,6 +116,13 @@ class Recipe(Section):
     seconds: float = Field(20.0, gt=0, le=3600, description="duration")
     fps: float = Field(20.0, gt=0, le=1000, description="frames per second")
     speed: float = Field(1.0, gt=0, le=10, description="factor of the speed of the motion")
+    aside_m: float = Field(
+        0.0,
+        ge=-10,
+        le=10,
+        description="metres from the middle of the way to the left; in a corridor -0.85 is along "
+        "the wall to the right",
+    )
     laps: tuple[LapName, ...] = Field(
         (),
         max_length=100,

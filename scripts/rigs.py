@@ -20,6 +20,7 @@ _CASES: dict[str, tuple[str, str, str, int, tuple[str, ...]]] = {
     "car_warehouse": ("car", "warehouse", "robot", 8, ()),
     "car_warehouse_dark": ("car", "warehouse", "robot", 8, ("effects.light=0.08", "seed=5")),
     "robot_corridor": ("robot", "corridor", "robot", 8, ("seed=4",)),
+    "robot_corridor_wall": ("robot", "corridor", "robot", 8, ("seed=4", "aside_m=-0.9")),
     "robot_room": ("robot", "room", "handheld", 8, ()),
     "robot_room_late": ("robot", "room", "handheld", 8, ("effects.stagger=1",)),
     "robot_street": ("robot", "street", "robot", 8, ()),

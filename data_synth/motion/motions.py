@@ -18,7 +18,7 @@ from data_synth.motion.limits import (
     polygon_length_m,
 )
 from data_synth.motion.motion_profile import MotionProfile, make_profile, stationary_profile
-from data_synth.motion.route import Route, make_route, route_of_laps
+from data_synth.motion.route import Route, beside, make_route, route_of_laps
 from data_synth.motion.speed_profile import (
     Schedule,
     drive_on,
@@ -54,6 +54,14 @@ def mount(motion: MotionName, course: Course, *, level: bool = False) -> Floats:
     nose_down = np.array([[cosine, 0.0, sine], [0.0, 1.0, 0.0], [-sine, 0.0, cosine]])
     lever = [0.01, 0.01, 0.0] if motion == "rotate" else [0.05, 0.06, 0.02]
     return make_transform(nose_down @ BODY_FROM_LOOKING_AHEAD, np.array(lever))
+
+
+def moved_aside(course: Course, left_m: float) -> Course:
+    """The course along a line to the left of its middle, or to the right below 0."""
+    if left_m == 0.0:
+        return course
+    free_m = max(0.0, course.half_width_m - abs(left_m))
+    return replace(course, waypoints=beside(course.waypoints, left_m), half_width_m=free_m)
 
 
 def make_path(

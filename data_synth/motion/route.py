@@ -82,7 +82,7 @@ def route_of_laps(waypoints: Floats, laps: Sequence[LapName], aside_m: float) ->
     middle, past = 0.5 * (corners[0] + corners[1]), 0.5 * aside_m * ahead
     pieces: dict[LapName, Floats] = {
         "forward": np.roll(corners, -1, axis=0),
-        "reverse": np.roll(_beside(corners, aside_m)[::-1], 1, axis=0),
+        "reverse": np.roll(beside(corners, aside_m)[::-1], 1, axis=0),
     }
     u_turns: dict[LapName, Floats] = {
         "forward": np.array([middle + past, middle + past + left]),
@@ -103,7 +103,7 @@ def _directions(corners: Floats) -> Floats:
     return np.asarray(sides / np.linalg.norm(sides, axis=1, keepdims=True))
 
 
-def _beside(corners: Floats, left_m: float) -> Floats:
+def beside(corners: Floats, left_m: float) -> Floats:
     """The corners (K, 2) of a parallel route to the left."""
     ahead = _directions(corners)
     after = np.column_stack([-ahead[:, 1], ahead[:, 0]])

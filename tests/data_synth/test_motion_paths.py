@@ -8,7 +8,7 @@ import pytest
 from motion_courses import COURSES, LOOP_S, walls
 
 from data_synth.motion.limits import BOUNDS, LARGE_M, polygon_length_m
-from data_synth.motion.motions import looking_aside, make_path, mount
+from data_synth.motion.motions import looking_aside, make_path, mount, moved_aside
 from data_synth.motion.spline import PosePath
 from data_synth.recipe import MotionName
 from vo.base.errors import ConfigError
@@ -256,3 +256,17 @@ def test_view_turns_aside_and_back_at_300_degrees_per_second() -> None:
     side = np.cross(ahead, aside)[:, 2]
     assert side[1] > 0.9 and side[3] < -0.9
     assert looking_aside(path, 0, 1.0) is path
+
+
+@pytest.mark.parametrize("left_m", [1.15, -1.15])
+def test_a_path_aside_of_the_middle_is_along_the_wall(left_m: float) -> None:
+    where = COURSES["aisles"]
+    free = walls(where, where.half_width_m)
+    path = make_path("robot", moved_aside(where, left_m), free, seconds=SECONDS)
+    times = np.arange(0.0, SECONDS, 0.1)
+    middle = _path("robot", "aisles")
+    near, far = (free(each.world_from_body(times)[:, :3, 3]) for each in (path, middle))
+    assert 0.25 < np.median(near) < 0.4 and np.median(far) > 1.0
+    with pytest.raises(ConfigError, match="the path passes"):
+        make_path("robot", moved_aside(where, 1.2 * left_m), free, seconds=SECONDS)
+    assert moved_aside(where, 0.0) is where

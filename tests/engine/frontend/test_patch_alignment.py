@@ -194,3 +194,26 @@ def test_stretched_patches_reach_to_the_last_pixel() -> None:
     assert _errors(found, centre + shift).max() < 0.03
     beyond = centre + 0.02
     assert not _align(reference, target, beyond, beyond + shift, stretch).converged.any()
+
+
+@pytest.mark.parametrize("change", [(0.01, 0.0), (-0.006, 0.008)])
+def test_homographies_leave_no_shift_where_the_magnification_changes(
+    change: tuple[float, float],
+) -> None:
+    reference, start = np.array([100.0, 100.0]), np.array([130.0, 110.0])
+    xy, affine = pixels(HEIGHT, WIDTH) - start, np.array([[1.1, 0.1], [-0.05, 0.9]])
+    back = xy @ affine.T / np.maximum(1.0 + xy @ np.array(change), 0.1)[..., None]
+    errors = []
+    for seed in range(40):
+        scene = Waves(seed)
+        images = [
+            as_image(scene.at(each + reference))
+            for each in (pixels(HEIGHT, WIDTH) - reference, back)
+        ]
+        for warp in (affine, np.concatenate([affine, [change]])):
+            patch = patches_of(images[0], reference[None], warp[None])
+            found = align_between(patch, images[1][None], np.zeros(1, int), start[None], half_px=6)
+            errors.append(found.xy[0] - start)
+    by_affine, by_homography = np.array(errors).reshape(-1, 2, 2).mean(axis=0)
+    assert np.linalg.norm(by_affine) > 0.05
+    assert np.linalg.norm(by_homography) < 0.01

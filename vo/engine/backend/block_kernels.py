@@ -8,8 +8,8 @@ normal equations of a bundle are block diagonal in the points, and the Schur com
 One point is processed at a time, so that its Jacobians stay in the cache.
 
 Layout: everything is in flat float64 arrays, because views cost reference counts. A Jacobian of an
-observation by a pose is 3 rows (u, v, disparity), a block of H is 6 rows; each row is padded to the
-8 numbers of a vector register. Blocks on and above the diagonal are stored, row by row.
+observation by a pose is 3 rows (u, v, disparity); each row is padded to the 8 numbers of a vector
+register. Blocks of H are those of `block_matrix`.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from vo.base.geometry.projection import (
     point_derivatives,
     to_camera,
 )
+from vo.engine.backend.block_matrix import BLOCK, LANES, assembled
 from vo.engine.geometry.points import SINGULAR
 
-_LANES = 8
 _REGULARISATION = 1e-12  # added to a point's normal matrix, relative to its trace
 
-# Sizes of a Jacobian by a pose, of one by a point, of errors, and of a block.
-_ROWS, _POINT, _ERRORS, _BLOCK = 3 * _LANES, 9, 3, 6 * _LANES
+# Sizes of a Jacobian by a pose, of one by a point, and of errors.
+_ROWS, _POINT, _ERRORS = 3 * LANES, 9, 3
 
 _set_product = Intrinsic("vo.engine.backend.intrinsics", "set_product")
 _add_product = Intrinsic("vo.engine.backend.intrinsics", "add_product")
@@ -42,22 +42,35 @@ _subtract_row = Intrinsic("vo.engine.backend.intrinsics", "subtract_row")
 
 @compiled(fastmath={"contract"})
 def reduced(points, poses, slot, calibrates, views):  # type: ignore[no-untyped-def]
-    """Schur complement H (6 F, 6 F) and g (6 F,) of the F free poses.
+    """H (6 F, 6 F) and g (6 F,) of the F free poses, of which any two may be coupled."""
+    free = slot.max() + 1
+    size = free + 1 if calibrates else free
+    row, end = size * np.arange(size), np.full(size, free)
+    blocks, gradient = reduced_blocks(points, poses, slot, calibrates, row, end, views)
+    return assembled(blocks, row, 0, size, size), gradient
+
+
+@compiled(fastmath={"contract"})
+def reduced_blocks(  # type: ignore[no-untyped-def]
+    points, poses, slot, calibrates, row, end, views
+):
+    """Blocks of the Schur complement H on and above the diagonal, and g (6 F,) of F free poses.
 
     Args:
         points: (M, 3) in the world.
         poses: (K, 3, 4) cam_from_world.
-        slot: (K,) number among the free poses, -1 if fixed.
+        slot: (K,) number among the free poses, -1 if fixed; it must increase.
         calibrates: whether six rows are appended, the first of them for the
             `CalibrationResidual`: the blocks treat it as one more pose that all observations have
             in common.
+        row: (F,) block (a, b) has the number row[a] + b.
+        end: (F,) of the appended rows: (a, F) has the number row[a] + end[a].
         views: the observations, a `PointViews`.
     """
-    free = 0
-    for k in slot:
-        free = max(free, k + 1)
-    size = free + 1 if calibrates else free
-    blocks, gradient = np.zeros(size * size * _BLOCK), np.zeros(size * _LANES)
+    size = len(row)
+    free = size - 1 if calibrates else size
+    count = row[size - 1] + size if size > 0 else 0
+    blocks, gradient = np.zeros(count * BLOCK), np.zeros(size * LANES)
     starts, keyframe = views.starts, views.camera
     max_views = 1
     for m in range(len(starts) - 1):
@@ -65,7 +78,7 @@ def reduced(points, poses, slot, calibrates, views):  # type: ignore[no-untyped-
     by_pose, by_rest = np.zeros(max_views * _ROWS), np.zeros(max_views * _ROWS)
     by_point, error = np.zeros(max_views * _POINT), np.zeros(max_views * _ERRORS)
     coupling, lifted, shared = np.zeros(max_views * _ROWS), np.zeros(_ROWS), np.zeros(_ROWS)
-    at = np.zeros(max_views, dtype=np.int64)
+    at, column = np.zeros(max_views, dtype=np.int64), np.zeros(max_views, dtype=np.int64)
     normal, inverse, right = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     flat_inverse = inverse.reshape(-1)
     for m in range(len(starts) - 1):
@@ -85,18 +98,18 @@ def reduced(points, poses, slot, calibrates, views):  # type: ignore[no-untyped-
                 _set_product(lifted, 0, by_point, point, 3, by_rest, pose)
                 for c in range(_ROWS):
                     shared[c] += lifted[c]
-                corner = _BLOCK * (size * free + free)
-                _add_product(blocks, corner, by_rest, pose, _LANES, by_rest, pose)
-                _add_row(gradient, _LANES * free, error, _ERRORS * a, 1, by_rest, pose)
+                corner = BLOCK * (row[free] + free)
+                _add_product(blocks, corner, by_rest, pose, LANES, by_rest, pose)
+                _add_row(gradient, LANES * free, error, _ERRORS * a, 1, by_rest, pose)
                 if k >= 0:
-                    side = _BLOCK * (size * k + free)
-                    _add_product(blocks, side, by_pose, pose, _LANES, by_rest, pose)
+                    side = BLOCK * (row[k] + end[k])
+                    _add_product(blocks, side, by_pose, pose, LANES, by_rest, pose)
             if k < 0:
                 continue
-            at[tied] = k
-            _add_product(blocks, _BLOCK * (size * k + k), by_pose, pose, _LANES, by_pose, pose)
+            at[tied] = column[tied] = k
+            _add_product(blocks, BLOCK * (row[k] + k), by_pose, pose, LANES, by_pose, pose)
             _set_product(coupling, _ROWS * tied, by_point, point, 3, by_pose, pose)
-            _add_row(gradient, _LANES * k, error, _ERRORS * a, 1, by_pose, pose)
+            _add_row(gradient, LANES * k, error, _ERRORS * a, 1, by_pose, pose)
             tied += 1
         if calibrates:
             at[tied] = free
@@ -108,14 +121,17 @@ def reduced(points, poses, slot, calibrates, views):  # type: ignore[no-untyped-
         # are on and above the diagonal. `coupling` holds B^T A (3 x 6) of each pose.
         for a in range(tied):
             _set_product(lifted, 0, flat_inverse, 0, 3, coupling, _ROWS * a)  # it is symmetric
-            _subtract_row(gradient, _LANES * at[a], right, 0, 1, lifted, 0)
+            _subtract_row(gradient, LANES * at[a], right, 0, 1, lifted, 0)
+            base = row[at[a]]
+            if calibrates:
+                column[tied - 1] = end[at[a]]
             for b in range(a, tied):
-                block = _BLOCK * (size * at[a] + at[b])
-                _subtract_product(blocks, block, lifted, 0, _LANES, coupling, _ROWS * b)
+                block = BLOCK * (base + column[b])
+                _subtract_product(blocks, block, lifted, 0, LANES, coupling, _ROWS * b)
     whole = np.zeros(6 * size)
     for r in range(6 * size):
-        whole[r] = gradient[_LANES * (r // 6) + r % 6]
-    return _assembled(blocks, size), whole
+        whole[r] = gradient[LANES * (r // 6) + r % 6]
+    return blocks, whole
 
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
@@ -152,7 +168,7 @@ def _differentiate(  # type: ignore[no-untyped-def]
         weight = 1.0 if length <= huber else np.sqrt(huber / length)
         eu, ev, ed, s, t = weight * eu, weight * ev, weight * ed, weight * s, weight * t
         error[e], error[e + 1], error[e + 2] = eu, ev, ed
-        ju, jv, jd = j, j + _LANES, j + 2 * _LANES
+        ju, jv, jd = j, j + LANES, j + 2 * LANES
         if fb > 0.0:
             right_x = x - fb / intrinsics.fx * near
             by_rest[jd], by_rest[jd + 1] = t, t * right_x * right_x
@@ -213,20 +229,6 @@ def _differentiate(  # type: ignore[no-untyped-def]
     normal[1, 2], normal[2, 1] = n12, n12
 
 
-@compiled
-def _assembled(blocks, count):  # type: ignore[no-untyped-def]
-    """Matrix (6 count, 6 count) of blocks on and above its diagonal."""
-    size = 6 * count
-    matrix = np.zeros((size, size))
-    for r in range(size):
-        a, c = divmod(r, 6)
-        for column in range(r, size):
-            b, e = divmod(column, 6)
-            block = _BLOCK * (count * a + b)
-            matrix[r, column] = matrix[column, r] = blocks[block + _LANES * c + e]
-    return matrix
-
-
 @compiled(**NO_REFCOUNT)
 def _invert(m, inverse):  # type: ignore[no-untyped-def]
     """Inverse of a point's (3, 3) normal matrix, slightly regularised.
@@ -277,15 +279,16 @@ def _divide(inverse, determinant):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"})
 def eliminated(  # type: ignore[no-untyped-def]
-    poses, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
+    row, place, starts, keyframe, by_pose, by_point, white, creep, disparity, bias
 ):
-    """Information (6 K, 6 K) of K poses with points eliminated; see `information.pose_information`.
+    """Blocks of the information of K poses, points eliminated; see `information.pose_information`.
 
     The errors of one point are correlated: with weight matrices W (n, n) of its pixels and D (n, n)
     of its disparities, products A^T A become sums of A_a^T W_ab A_b over pairs of observations.
-    `lifted` holds W B, `coupling` B^T W A, and `solved` (B^T W B)^-1 B^T W A.
+    `lifted` holds W B, `coupling` B^T W A, and `solved` (B^T W B)^-1 B^T W A. `place`: (K,) rows of
+    the poses in the matrix, `row`: as of `reduced_blocks`.
     """
-    blocks = np.zeros(poses * poses * _BLOCK)
+    blocks = np.zeros((row[-1] + len(row)) * BLOCK)
     max_views = 0
     for m in range(len(starts) - 1):
         max_views = max(max_views, starts[m + 1] - starts[m])
@@ -296,6 +299,7 @@ def eliminated(  # type: ignore[no-untyped-def]
         np.zeros(_ROWS),
     )
     coupling, solved = np.zeros(max_views * _ROWS), np.zeros(max_views * _ROWS)
+    to = np.zeros(max_views, dtype=np.int64)
     normal, inverse = np.zeros((3, 3)), np.zeros((3, 3))
     flat_inverse = inverse.reshape(-1)
     for m in range(len(starts) - 1):
@@ -303,9 +307,10 @@ def eliminated(  # type: ignore[no-untyped-def]
         if count < 2:
             continue
         for a in range(count):
+            to[a] = place[keyframe[first + a]]
             for r in range(3):
                 for c in range(6):
-                    pose[_ROWS * a + _LANES * r + c] = by_pose[first + a, r, c]
+                    pose[_ROWS * a + LANES * r + c] = by_pose[first + a, r, c]
         _position_weights(keyframe, first, count, white, creep, weight)
         _disparity_weights(by_point, first, count, disparity, bias, weight_d)
         _add_point_normal(by_point, first, count, weight, weight_d, lifted, normal)
@@ -314,17 +319,20 @@ def eliminated(  # type: ignore[no-untyped-def]
         for a in range(count):
             _set_product(coupling, _ROWS * a, lifted, _POINT * a, 3, pose, _ROWS * a)
             _set_product(solved, _ROWS * a, flat_inverse, 0, 3, coupling, _ROWS * a)
-        for a in range(count):
-            for b in range(a, count):
+        for p in range(count):
+            for q in range(p, count):
+                i, j, a, b = to[p], to[q], p, q
+                if i > j:  # on and above the diagonal
+                    i, j, a, b = j, i, q, p
                 w, d = weight[a, b], weight_d[a, b]
-                for c in range(_LANES):
+                for c in range(LANES):
                     weighted[c] = w * pose[_ROWS * a + c]
-                    weighted[_LANES + c] = w * pose[_ROWS * a + _LANES + c]
-                    weighted[2 * _LANES + c] = d * pose[_ROWS * a + 2 * _LANES + c]
-                block = _BLOCK * (poses * keyframe[first + a] + keyframe[first + b])
-                _add_product(blocks, block, weighted, 0, _LANES, pose, _ROWS * b)
-                _subtract_product(blocks, block, solved, _ROWS * a, _LANES, coupling, _ROWS * b)
-    return _assembled(blocks, poses)
+                    weighted[LANES + c] = w * pose[_ROWS * a + LANES + c]
+                    weighted[2 * LANES + c] = d * pose[_ROWS * a + 2 * LANES + c]
+                block = BLOCK * (row[i] + j)
+                _add_product(blocks, block, weighted, 0, LANES, pose, _ROWS * b)
+                _subtract_product(blocks, block, solved, _ROWS * a, LANES, coupling, _ROWS * b)
+    return blocks
 
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)

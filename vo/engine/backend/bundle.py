@@ -18,6 +18,7 @@ from vo.base.geometry.projection import PixelObservations
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Floats
 from vo.engine.backend import block_kernels
+from vo.engine.backend.path_equations import Levels, PathEquations
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry.points import PointViews, best_points, point_views
 
@@ -70,10 +71,7 @@ class Bundle:
 
         `with_calibration` appends the rows of the `CalibrationResidual`, linearised at 0.
         """
-        at = self._at(world_from_cam)
-        self._points = at.points
-        poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
-        views = self._views._replace(huber=_LENS_HUBER) if with_calibration else self._views
+        at, poses, views = self._linearised_at(world_from_cam, with_calibration)
         hessian, gradient = block_kernels.reduced(
             at.points, poses, self._slot, with_calibration, views
         )
@@ -81,6 +79,28 @@ class Bundle:
         if with_calibration:
             size += self.calibration_size + self.check_size
         return NormalEquations(hessian[:size, :size], gradient[:size], at.cost)
+
+    def path_equations(
+        self, world_from_cam: Floats, levels: Levels, *, with_calibration: bool = False
+    ) -> tuple[PathEquations, Floats]:
+        """The same of all poses (K, 4, 4), the fixed ones too, in the order of levels; gradient."""
+        at, poses, views = self._linearised_at(world_from_cam, with_calibration)
+        count = len(poses) + with_calibration
+        layout = levels.row[:count], levels.end[:count]
+        slot = np.arange(len(poses))
+        flat, gradient = block_kernels.reduced_blocks(
+            at.points, poses, slot, with_calibration, *layout, views
+        )
+        return PathEquations(levels, flat), gradient
+
+    def _linearised_at(
+        self, world_from_cam: Floats, with_calibration: bool
+    ) -> tuple[_Optimum, Floats, PointViews]:
+        at = self._at(world_from_cam)
+        self._points = at.points
+        poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
+        views = self._views._replace(huber=_LENS_HUBER) if with_calibration else self._views
+        return at, poses, views
 
     def _at(self, world_from_cam: Floats) -> _Optimum:
         """Optimal points; cached, since optimizers evaluate cost and derivatives separately."""

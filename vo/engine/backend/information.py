@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.types import Floats
+from vo.base.types import Floats, Ints
 from vo.engine.backend import block_kernels
+from vo.engine.backend.block_matrix import assembled
 from vo.engine.backend.linearisation import Linearised
 
-_MIN_OBSERVATIONS = 3  # of a pose
+MIN_OBSERVATIONS = 3  # of a pose
 
 
 class ErrorModel(NamedTuple):
@@ -47,15 +48,27 @@ def pose_information(linear: Linearised, scale: float, model: ErrorModel = OF_PA
     Source: Triggs et al., "Bundle Adjustment", 2000, sec. 6.1; of correlated observations
     generalised least squares (Aitken 1935).
     """
-    information = block_kernels.eliminated(
-        linear.poses,
-        linear.starts,
-        linear.keyframe,
-        linear.by_pose,
-        linear.by_point,
-        *(sigma**2 for sigma in model),
-    )
-    unknown = np.repeat(linear.seen < _MIN_OBSERVATIONS, 6)
+    count = linear.poses
+    row, place = count * np.arange(count), np.arange(count)
+    information = assembled(information_blocks(linear, row, place, model), row, 0, count, count)
+    unknown = np.repeat(linear.seen < MIN_OBSERVATIONS, 6)
     information[unknown] = 0.0
     information[:, unknown] = 0.0
     return np.asarray(information / scale)
+
+
+def information_blocks(
+    linear: Linearised, row: Ints, place: Ints, model: ErrorModel = OF_PATCHES
+) -> Floats:
+    """Its blocks, of scale 1; `place`: (K,) rows of the poses in the matrix."""
+    return np.asarray(
+        block_kernels.eliminated(
+            row,
+            place,
+            linear.starts,
+            linear.keyframe,
+            linear.by_pose,
+            linear.by_point,
+            *(sigma**2 for sigma in model),
+        )
+    )

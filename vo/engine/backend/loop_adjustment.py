@@ -1,13 +1,12 @@
 """Bundle adjustment of a path with loops: all observations, and measured motions between poses.
 
-The points are eliminated as in windows (`bundle`). What is left are dense normal equations of the
-poses, to which each loop adds its own, damped as by Levenberg and Marquardt. GTSAM would need the
-square root of the dense hessian in each step, whose decomposition takes ten times as long where,
-with one camera, the scale is hardly determined.
+The points are eliminated as in windows (`bundle`). What is left are normal equations of the poses
+(`path_equations`), to which each loop adds its own, damped as by Levenberg and Marquardt.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,8 +15,9 @@ import numpy as np
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import Bundle
+from vo.engine.backend.path_equations import Levels, PathEquations, coupled_poses, levels_of
 from vo.engine.backend.residuals import residuals
-from vo.engine.backend.solution import information_by_images
+from vo.engine.backend.solution import blocks_by_images
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry import sim3
 
@@ -25,13 +25,17 @@ if TYPE_CHECKING:
     from vo.base.config import SmoothingConfig
 
 _HUBER = 1.345  # standard deviations from which the error of a motion weighs less
-_FIRST_DAMPING, _MAX_DAMPING = 1e-6, 1e3  # relative to the diagonal of the hessian
+_FIRST_DAMPING, _MAX_DAMPING = 1e-8, 1e3  # relative to the diagonal of the hessian
 _MAX_STEPS = 30
+_MAX_WIDTH = 800  # poses of adjacent levels: steps of so many take 5 s and 0.6 GB
 _MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
 # On variances: errors of long tracks have more in common (docs/experiments/covariances.md).
 _MORE_ALIKE = 2.0
 # With one camera the unit of length is that of so many first poses, to so much.
 _OF_UNIT, _UNIT_SIGMA = 7, 1e-4
+
+
+_log = logging.getLogger(__name__)
 
 
 class Motions(NamedTuple):
@@ -48,6 +52,10 @@ class Motions(NamedTuple):
     covariance: Floats
 
 
+_NO_ROWS = np.empty(0, np.int64)
+NO_MOTIONS = Motions(_NO_ROWS, _NO_ROWS, np.empty((0, 4, 4)), np.empty((0, 6, 6)))
+
+
 class AdjustedPath(NamedTuple):
     """Result for K poses (K, 4, 4), the first one as it was, and M points (M, 3)."""
 
@@ -61,25 +69,28 @@ def adjust_path(
     config: SmoothingConfig,
     min_decrease: float = _MIN_DECREASE,
 ) -> AdjustedPath | None:
-    """Optimise all poses but the first, and all points; None where nothing can be optimised.
+    """Optimise all poses but the first, and all points; None where they cannot be optimised.
 
     The fixed poses and further factors of the problem are ignored. Steps end at a relative decrease
-    of the cost; the damping, which slows a drift of the scale, is less where that is.
+    of the cost; the damping, which holds the drift of long paths, is less where that is.
     """
-    count, usable = len(problem.world_from_cam), _usable(problem)
-    if count < 2 or not usable.any():
+    usable = _usable(problem)
+    if len(problem.world_from_cam) < 2 or not usable.any():
         return None
-    bundle = Bundle(replace(problem, fixed=np.arange(count) == 0), usable, config)
-    edges = _Edges(motions)
+    problem, motions, levels = _ordered(problem, motions, usable)
+    if levels.width > _MAX_WIDTH:
+        _log.warning("a path of which %d poses see the same is not adjusted", levels.width)
+        return None
+    bundle, edges = Bundle(problem, usable, config), _Edges(motions)
     poses = problem.world_from_cam
     cost = bundle.cost(poses) + edges.cost(poses)
     damping = least = _FIRST_DAMPING * min(min_decrease / _MIN_DECREASE, 1.0)
     for _ in range(_MAX_STEPS):
-        normal = bundle.normal_equations(poses)
-        hessian, gradient = edges.added_to(normal.hessian, normal.gradient, poses)
+        equations, gradient = bundle.path_equations(poses, levels)
+        edges.add_to(equations, gradient, poses)
         before = cost
         while damping <= _MAX_DAMPING:
-            moved = _moved(poses, _step(hessian, gradient, damping))
+            moved = _moved(poses, _step(equations, gradient, damping))
             new = bundle.cost(moved) + edges.cost(moved)
             if new < cost:
                 poses, cost, damping = moved, new, max(0.1 * damping, least)
@@ -90,33 +101,35 @@ def adjust_path(
     points = bundle.points_for(poses)
     if not (np.isfinite(poses).all() and np.isfinite(points[usable]).all()):
         return None
-    return AdjustedPath(poses, points)
+    return AdjustedPath(poses[levels.place], points)
 
 
 def path_covariance(
     problem: WindowProblem, path: AdjustedPath, motions: Motions, config: SmoothingConfig
 ) -> Floats | None:
     """(K, 6, 6) of the poses relative to the first one; None where they are not determined."""
-    poses, count = path.world_from_cam, len(path.world_from_cam) - 1
     usable = _usable(problem)
-    information = information_by_images(problem, poses, path.points, usable, config)[6:, 6:]
-    information /= _MORE_ALIKE
-    information, _ = _Edges(motions).added_to(information, np.zeros(6 * count), poses)
+    _, motions, levels = _ordered(problem, motions, usable)
+    poses, first = path.world_from_cam[levels.order], levels.place[:_OF_UNIT]
+    flat = blocks_by_images(problem, path, usable, config, levels)
+    if flat is None:
+        return None
+    equations = PathEquations(levels, flat / _MORE_ALIKE)
+    _Edges(motions).add_to(equations, np.zeros(6 * len(poses)), poses)
     if problem.baseline_m == 0.0:
-        by_scale = np.zeros((count, 6))
-        first = poses[1:_OF_UNIT]
-        by_scale[: len(first), 3:] = np.einsum(
-            "kji,kj->ki", first[:, :3, :3], first[:, :3, 3] - poses[0, :3, 3]
+        by_scale = np.zeros((len(first), 6))
+        by_scale[:, 3:] = np.einsum(
+            "kji,kj->ki", poses[first, :3, :3], poses[first, :3, 3] - poses[0, :3, 3]
         )
         by_scale /= max(float((by_scale**2).sum()), 1e-300) * _UNIT_SIGMA
-        information += np.outer(by_scale, by_scale)
+        for a, row in zip(first, by_scale, strict=True):
+            for b, column in zip(first, by_scale, strict=True):
+                if a <= b:
+                    equations.add(a, b, np.outer(row, column))
     try:
-        np.linalg.cholesky(information)
+        return equations.covariances()[levels.place]
     except np.linalg.LinAlgError:
         return None
-    blocks = np.linalg.inv(information).reshape(count, 6, count, 6)
-    own = blocks[np.arange(count), :, np.arange(count)]
-    return np.concatenate([np.zeros((1, 6, 6)), 0.5 * (own + np.swapaxes(own, 1, 2))])
 
 
 def calibration_step(problem: WindowProblem, config: SmoothingConfig) -> Floats:
@@ -125,14 +138,37 @@ def calibration_step(problem: WindowProblem, config: SmoothingConfig) -> Floats:
     With one camera (1,) how much larger k1 is than that of the pixels; with two (2,) offset and
     curve of disparities, see `RectifiedRig.disparity_error`.
     """
-    first = np.arange(len(problem.world_from_cam)) == 0
-    bundle = Bundle(replace(problem, fixed=first), _usable(problem), config)
-    normal = bundle.normal_equations(problem.world_from_cam, with_calibration=True)
-    size = 6 * (len(first) - 1) + bundle.calibration_size
-    hessian = normal.hessian[:size, :size]
-    damped = hessian + 1e-9 * np.diag(np.diag(hessian))  # the scale of the path is free
-    step = -np.linalg.solve(damped, normal.gradient[:size])
-    return np.asarray(step[-bundle.calibration_size :])
+    usable = _usable(problem)
+    problem, _, levels = _ordered(problem, NO_MOTIONS, usable)
+    bundle = Bundle(problem, usable, config)
+    equations, gradient = bundle.path_equations(
+        problem.world_from_cam, levels, with_calibration=True
+    )
+    size = bundle.calibration_size
+    coupling, own = (each[..., :size] for each in equations.shared())
+    # The scale of the path is free.
+    solved = equations.solve(np.column_stack([coupling, gradient[6:-6]]), 1e-9)
+    left = np.column_stack([own[:size], gradient[-6:][:size]]) - coupling.T @ solved
+    return np.asarray(-np.linalg.solve(left[:, :size], left[:, size]))
+
+
+def _ordered(
+    problem: WindowProblem, motions: Motions, usable: Bools
+) -> tuple[WindowProblem, Motions, Levels]:
+    """The same with poses in the order of levels."""
+    count = len(problem.world_from_cam)
+    coupled = coupled_poses(usable, problem.point, problem.keyframe, count)
+    coupled[:_OF_UNIT, :_OF_UNIT] = True
+    coupled[motions.earlier, motions.later] = coupled[motions.later, motions.earlier] = True
+    levels = levels_of(coupled)
+    place = levels.place
+    problem = replace(
+        problem,
+        world_from_cam=problem.world_from_cam[levels.order],
+        keyframe=place[problem.keyframe],
+    )
+    ends = place[motions.earlier], place[motions.later]
+    return problem, motions._replace(earlier=ends[0], later=ends[1]), levels
 
 
 def _usable(problem: WindowProblem) -> Bools:
@@ -157,27 +193,21 @@ class _Edges:
         size = np.linalg.norm(self._errors(poses), axis=1)
         return float(np.where(size < _HUBER, 0.5 * size**2, _HUBER * (size - 0.5 * _HUBER)).sum())
 
-    def added_to(self, hessian: Floats, gradient: Floats, poses: Floats) -> tuple[Floats, Floats]:
-        """Normal equations with those of the motions; the first pose has no rows in them."""
+    def add_to(self, equations: PathEquations, gradient: Floats, poses: Floats) -> None:
+        """Add the normal equations of the motions to those of the path, gradient (6 K,)."""
         errors = self._errors(poses)
         weight = _HUBER / np.maximum(np.linalg.norm(errors, axis=1), _HUBER)
         earlier, later = self._motions.earlier, self._motions.later
         later_from_earlier = inverse(poses[later]) @ poses[earlier]
         by_later = self._whitening
         by_earlier = -self._whitening @ adjoint(later_from_earlier)
-        hessian, gradient = hessian.copy(), gradient.copy()
         for n in range(len(earlier)):
             ends = ((int(earlier[n]), by_earlier[n]), (int(later[n]), by_later[n]))
             for row, by_row in ends:
-                if row == 0:
-                    continue
-                at = slice(6 * row - 6, 6 * row)
-                gradient[at] += weight[n] * by_row.T @ errors[n]
+                gradient[6 * row : 6 * row + 6] += weight[n] * by_row.T @ errors[n]
                 for column, by_column in ends:
-                    if column > 0:
-                        there = slice(6 * column - 6, 6 * column)
-                        hessian[at, there] += weight[n] * by_row.T @ by_column
-        return hessian, gradient
+                    if row <= column:
+                        equations.add(row, column, weight[n] * by_row.T @ by_column)
 
     def _errors(self, poses: Floats) -> Floats:
         """(L, 6) whitened tangents from the measured to the present motions."""
@@ -186,14 +216,12 @@ class _Edges:
         return np.asarray(np.einsum("nij,nj->ni", self._whitening, error))
 
 
-def _step(hessian: Floats, gradient: Floats, damping: float) -> Floats:
+def _step(equations: PathEquations, gradient: Floats, damping: float) -> Floats:
     """(K - 1, 6) tangents of the poses after the first; 0 where they are not determined."""
-    diagonal = np.diag(hessian)
-    damped = hessian + np.diag(damping * np.maximum(diagonal, 1e-9 * diagonal.max()))
     try:
-        return np.asarray(np.linalg.solve(damped, -gradient)).reshape(-1, 6)
+        return equations.solve(-gradient[6:, None], damping).reshape(-1, 6)
     except np.linalg.LinAlgError:
-        return np.zeros((len(gradient) // 6, 6))
+        return np.zeros((len(gradient) // 6 - 1, 6))
 
 
 def _moved(poses: Floats, step: Floats) -> Floats:

@@ -13,8 +13,9 @@ from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.bundle_adjustment import AdjustedWindow, adjust_window
 from vo.engine.backend.calibration_residual import estimate_calibration_residual
-from vo.engine.backend.information import pose_information
+from vo.engine.backend.information import MIN_OBSERVATIONS, information_blocks, pose_information
 from vo.engine.backend.linearisation import linearise
+from vo.engine.backend.path_equations import Levels
 from vo.engine.backend.residuals import residuals
 from vo.engine.backend.window_problem import Ties, WindowProblem, gauge_of
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `
 # a third of the variance of corridors. Median in standard deviations where the factor is 1, and the
 # least factor on standard deviations.
 _USUAL_RESIDUAL, _LEAST_NOISE = 0.2, 0.2
+_LANDMARKS = 20_000  # whose observations are linearised at once
 
 
 class WindowSolution(NamedTuple):
@@ -103,10 +105,37 @@ def information_by_images(
     problem: WindowProblem, poses: Floats, points: Floats, ok: Bools, config: SmoothingConfig
 ) -> Floats:
     """(6 K, 6 K) of the observations on all poses, with the noise that their residuals show."""
-    linear = linearise(problem, poses, points, ok, config)
+    scale = _scale(problem, poses, points, ok, config)
+    return pose_information(linearise(problem, poses, points, ok, config), scale)
+
+
+def blocks_by_images(
+    problem: WindowProblem,
+    path: tuple[Floats, Floats],
+    ok: Bools,
+    config: SmoothingConfig,
+    levels: Levels,
+) -> Floats | None:
+    """Blocks of the same in the order of levels; None where a pose has too few observations."""
+    flat, seen = np.zeros(0), np.zeros(len(levels.order), np.int64)
+    for first in range(0, len(ok), _LANDMARKS):  # Jacobians of all would need too much memory
+        part = problem.point // _LANDMARKS == first // _LANDMARKS
+        linear = linearise(problem.select(np.flatnonzero(part)), *path, ok, config)
+        seen += linear.seen
+        blocks = information_blocks(linear, levels.row[:-1], levels.place)
+        flat = flat + blocks if len(flat) else blocks
+    if seen.min() < MIN_OBSERVATIONS:
+        return None
+    return flat / _scale(problem, *path, ok, config)
+
+
+def _scale(
+    problem: WindowProblem, poses: Floats, points: Floats, ok: Bools, config: SmoothingConfig
+) -> float:
+    """Of covariances, by the residuals."""
     off, _ = residuals(problem, poses, points)
     noise = max(median(off[ok[problem.point]]) / _USUAL_RESIDUAL, _LEAST_NOISE)
-    return pose_information(linear, config.covariance_scale * noise**2)
+    return config.covariance_scale * noise**2
 
 
 def _information(

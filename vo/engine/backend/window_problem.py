@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -82,6 +82,11 @@ class WindowProblem:
     estimates_calibration: bool = True
     factors: tuple[WindowFactor, ...] = ()
     ties: Ties | None = None
+
+    def select(self, chosen: Ints) -> WindowProblem:
+        """The same with some of the observations, in this order."""
+        names = ("keyframe", "point", "xy", "disparity", "sigma_px")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
 class Ties(NamedTuple):

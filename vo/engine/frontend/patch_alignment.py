@@ -14,10 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.config import PatchConfig
-from vo.base.geometry.projection import Intrinsics
 from vo.base.types import Bools, Bytes, Floats, Ints
 from vo.engine.frontend import patch_kernels
-from vo.engine.geometry.patch_curvature import curvature_shift
 
 _MAX_HALF_PX = 10
 _MAX_ITERATIONS = 12
@@ -30,8 +28,8 @@ class Patches(NamedTuple):
         images: (M, H, W) uint8 stack of reference images.
         image: (N,) index of the image of each patch.
         xy: (N, 2) pixel at the centre of each patch.
-        reference_from_target: (N, 2, 2) how steps in the target image map to the reference; None
-            without a change of shape.
+        reference_from_target: (N, 2, 2) how steps in the target image map to the reference, or
+            (N, 3, 2) with a third row of `homographies`; None without a change of shape.
     """
 
     images: Bytes
@@ -91,14 +89,6 @@ class PatchAligner:
     ) -> Alignment:
         """Find each patch in one (N,) of several images (T, H, W), starting at (N, 2) pixels."""
         return align_between(patches, targets, target, start_xy, half_px=self._config.half_px)
-
-    def without_curvature(
-        self, found: Alignment, reference_from_target: Floats, intrinsics: Intrinsics
-    ) -> Alignment:
-        """An alignment in a view that is turned by (3, 3), or (N, 3, 3), to that of the patches."""
-        turns = np.broadcast_to(reference_from_target, (len(found.xy), 3, 3))
-        shift = curvature_shift(found.xy, turns, intrinsics, self._config.half_px)
-        return found._replace(xy=found.xy + shift)
 
     def is_similar(self, found: Alignment) -> Bools:
         """(N,) whether the correlation at the found position is high enough."""

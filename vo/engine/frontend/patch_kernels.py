@@ -28,13 +28,17 @@ _REJECT_AFTER, _REJECT_SCORE = 3, 0.5
 # in time to be usable. Accepting slower ones raised the mono ATE on kitti07 by 8 % and lowered it
 # on others (docs/accuracy.md).
 _CONVERGED, _NEARLY_CONVERGED = 4e-6, 1e-4
+_MIN_PART = 0.25  # of the depth at the centre of a patch, at its sides
 
 
 @compiled
 def align(  # type: ignore[no-untyped-def]
     references, reference, reference_xy, inverses, targets, target, start_xy, half, iterations
 ):
-    """See `patch_alignment.align_between`; `inverses` may be empty, then patches are not warped."""
+    """See `patch_alignment.align_between`; `inverses` may be empty, then patches are not warped.
+
+    Those of 3 rows are homographies: their offsets are divided by 1 + the third row times them.
+    """
     count, side = len(reference_xy), 2 * half + 1
     stride = _LANES if side + 2 <= _LANES else 2 * _LANES
     work = _workspace(half, stride)
@@ -120,13 +124,16 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
 
 @compiled(**NO_REFCOUNT)
 def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: ignore[no-untyped-def]
-    """The same for a warped patch; `inverse` (2, 2) maps its offsets to those of the image."""
+    """The same for a warped patch; `inverse` maps its offsets to those of the image."""
     height, width = image.shape
     reach, left, top = half + 1, np.inf, np.inf
     for sy in (-reach, reach):
         for sx in (-reach, reach):
-            px = x + inverse[0, 0] * sx + inverse[0, 1] * sy
-            py = y + inverse[1, 0] * sx + inverse[1, 1] * sy
+            part = 1.0
+            if len(inverse) == 3:
+                part = 1.0 / max(1.0 + inverse[2, 0] * sx + inverse[2, 1] * sy, _MIN_PART)
+            px = x + part * (inverse[0, 0] * sx + inverse[0, 1] * sy)
+            py = y + part * (inverse[1, 0] * sx + inverse[1, 1] * sy)
             if not (0 <= px < width - 1.0001 and 0 <= py < height - 1.0001):
                 return False
             left, top = min(left, px), min(top, py)
@@ -179,9 +186,18 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
     right, bottom = np.int32(farthest[0]), np.int32(farthest[1])
     xx, xy = np.float32(inverse[0, 0]), np.float32(inverse[0, 1])
     yx, yy = np.float32(inverse[1, 0]), np.float32(inverse[1, 1])
+    if len(inverse) == 3:
+        zx, zy, one_part = np.float32(inverse[2, 0]), np.float32(inverse[2, 1]), np.float32(1)
+        for k in range(count):
+            part = one_part / max(one_part + zx * across[k] + zy * down[k], np.float32(_MIN_PART))
+            part_x[k] = x + part * (xx * across[k] + xy * down[k])
+            part_y[k] = y + part * (yx * across[k] + yy * down[k])
+    else:
+        for k in range(count):
+            part_x[k] = x + xx * across[k] + xy * down[k]
+            part_y[k] = y + yx * across[k] + yy * down[k]
     for k in range(count):
-        px = x + xx * across[k] + xy * down[k]
-        py = y + yx * across[k] + yy * down[k]
+        px, py = part_x[k], part_y[k]
         x0, y0 = min(np.int32(px), right), min(np.int32(py), bottom)
         part_x[k], part_y[k] = px - np.float32(x0), py - np.float32(y0)
         place[k] = y0 * row + x0

@@ -69,7 +69,7 @@ def point_views(
     N observations by rows of points and cameras; `focal_baseline` is fx * baseline in px m, 0 in
     mono; residuals above `huber` standard deviations weigh less.
     """
-    starts, order = _by_points(point_ok, point)
+    starts, order = by_points(point_ok, point)
     return PointViews(
         starts,
         camera.take(order),
@@ -107,7 +107,7 @@ def best_points(
 
 
 @compiled
-def _by_points(point_ok, point):  # type: ignore[no-untyped-def]
+def by_points(point_ok, point):  # type: ignore[no-untyped-def]
     """`starts` (M + 1,), and rows of the observations of ok points, ordered by point (stable)."""
     starts = np.zeros(len(point_ok) + 1, dtype=np.int64)
     for m in point:

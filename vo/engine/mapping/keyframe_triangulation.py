@@ -17,6 +17,7 @@ from vo.engine.frontend.frontend import Frontend
 from vo.engine.frontend.patch_alignment import Alignment, Patches, patches_of
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.epipolar import epipolar_segments
+from vo.engine.geometry.homographies import homographies
 from vo.engine.geometry.patch_prediction import predict_patches
 from vo.engine.geometry.rolling_shutter import at_middle_row, disparity_at_middle_row
 from vo.engine.geometry.surfaces import surface_normals
@@ -164,8 +165,15 @@ class _Pair:
 class KeyframeTriangulator:
     """Triangulates features of keyframes against those of earlier keyframes."""
 
-    def __init__(self, local_map: LocalMap, frontend: Frontend, config: MappingConfig) -> None:
-        self._map = local_map
+    def __init__(
+        self,
+        local_map: LocalMap,
+        frontend: Frontend,
+        config: MappingConfig,
+        *,
+        of_rig: bool = False,
+    ) -> None:
+        self._map, self._of_rig = local_map, of_rig
         self._matcher = frontend.matcher
         self._patches = frontend.patches
         self._scale_factor = frontend.scale_factor
@@ -200,9 +208,6 @@ class KeyframeTriangulator:
         points = self._points(pair, search)
         pair = pair.select(points.valid)
         found = self._align_on_surfaces(pair, points.xyz[points.valid])
-        if search.turns:
-            turn = older.world_from_cam[:3, :3].T @ newer.world_from_cam[:3, :3]
-            found = self._patches.without_curvature(found, turn, self._map.rig.intrinsics)
         good = self._patches.is_found(found)
         good &= np.linalg.norm(found.xy - pair.image_xy, axis=1) <= _MAX_CORRECTION_PX
         pair = self._at_middle_rows(pair.moved(good, found.xy, self._map.rig), search)
@@ -309,7 +314,13 @@ class KeyframeTriangulator:
             np.stack([pose, pair.newer.world_from_cam]),
             rig.intrinsics,
         )
-        patches = self._patches_of(older, pair.query, seen.reference_from_target)
+        warp = seen.reference_from_target
+        if self._of_rig:
+            older_from_newer = inverse(pair.newer_from_older)
+            by_target = np.tile(older_from_newer[2], (len(points), 1))
+            near = 1.0 / transform_points(pair.newer_from_older, points)[:, 2]
+            warp = homographies(warp, seen.xy, by_target, near, seen.slope, rig.intrinsics)
+        patches = self._patches_of(older, pair.query, warp)
         return self._patches.align(patches, pair.image, pair.image_xy)
 
     def _add(self, pair: _Pair, points: Floats) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.frontend.patch_alignment import PatchAligner, Patches
+from vo.engine.geometry.homographies import homographies
 from vo.engine.geometry.image_masks import used_at
 from vo.engine.geometry.patch_prediction import predict_patches
 from vo.engine.geometry.rolling_shutter import as_seen, at_middle_row
@@ -35,11 +36,11 @@ class FoundPatches(NamedTuple):
 
 
 def find_patches(
-    local_map: LocalMap, rows: Ints, camera: Ints, patches: PatchAligner, *, turns: bool = False
+    local_map: LocalMap, rows: Ints, camera: Ints, patches: PatchAligner, *, of_rig: bool = False
 ) -> FoundPatches:
     """Find landmarks (N,), by row, to sub-pixel in keyframes (N,) that may show them.
 
-    `turns`: whether keyframes may look to other sides than those with the patches.
+    `of_rig`: whether keyframes may look to other sides than those with the patches.
     """
     rig = local_map.rig
     reference = local_map.reference - local_map.keyframes[0].id
@@ -55,22 +56,38 @@ def find_patches(
     inside = inside[_shown(local_map, camera[kept[inside]], expected[inside])]
     kept, expected = kept[inside], expected[inside]
     rows, camera = rows[kept], camera[kept]
-    references = Patches(
-        local_map.images,
-        slots[reference[rows]],
-        local_map.reference_xy[rows],
-        seen.reference_from_target[kept],
-    )
+    warp = seen.reference_from_target[kept]
+    if of_rig:
+        targets = local_map.poses, camera
+        warp = map_homographies(local_map, rows, targets, warp, seen.xy[kept], seen.slope[kept])
+    slot, at = slots[reference[rows]], local_map.reference_xy[rows]
+    references = Patches(local_map.images, slot, at, warp)
     found = patches.align_in(references, local_map.images, slots[camera], expected)
-    if turns:
-        rotations = local_map.poses[:, :3, :3]
-        turn = rotations[reference[rows]].swapaxes(1, 2) @ rotations[camera]
-        found = patches.without_curvature(found, turn, rig.intrinsics)
     shift = np.linalg.norm(found.xy - expected, axis=1)
     ideal = _at_middle_row(local_map, camera, found.xy, near[inside])
     good = patches.is_found(found) & (shift <= patches.max_shift_px)
     good &= np.isfinite(ideal).all(axis=1)
     return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])
+
+
+def map_homographies(
+    local_map: LocalMap,
+    rows: Ints,
+    targets: tuple[Floats, Ints],
+    affine: Floats,
+    xy: Floats,
+    slope: Floats,
+) -> Floats:
+    """Warps (N, 3, 2) of landmarks (N,), by row, of affine ones (N, 2, 2).
+
+    `targets`: poses (K, 4, 4) and the row of each landmark's (N,); `xy`, `slope`: as predicted.
+    """
+    poses, camera = targets
+    target_from_world, xyz = inverse(poses)[camera, 2], local_map.xyz[rows]
+    depth = np.einsum("ni,ni->n", target_from_world[:, :3], xyz) + target_from_world[:, 3]
+    reference = inverse(local_map.poses)[local_map.reference[rows] - local_map.keyframes[0].id, 2]
+    by_target = np.einsum("ni,nij->nj", reference, poses[camera])
+    return homographies(affine, xy, by_target, 1.0 / depth, slope, local_map.rig.intrinsics)
 
 
 def _inverse_depth(local_map: LocalMap, rows: Ints, camera: Ints) -> Floats:

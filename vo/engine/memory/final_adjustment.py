@@ -39,8 +39,7 @@ from vo.engine.places.records import Loop, RegisteredKeyframes
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
 _log = logging.getLogger(__name__)
-# Normal equations are dense, and images stay in memory.
-_MAX_KEYFRAMES = 800
+_MAX_KEYFRAMES = 2000  # whose images stay in memory
 _MIN_KEYFRAMES = 3
 _SESSION = 0  # there is no adjustment in a loaded map
 # Landmarks that a keyframe shares with those before it; where there are fewer, a sensor is better.

@@ -18,15 +18,13 @@ from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Floats, Floats32, Ints
-from vo.engine.backend.loop_adjustment import AdjustedPath, Motions, adjust_path
+from vo.engine.backend.loop_adjustment import NO_MOTIONS, AdjustedPath, Motions, adjust_path
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
-# The normal equations are dense: their solution takes time with the third power of the number of
-# keyframes, some ten seconds for so many.
-_MAX_KEYFRAMES = 400
+_MAX_KEYFRAMES = 2000  # some twenty seconds for so many
 _MAX_STORED = 20_000  # keyframes, some 10 kB each, beyond which no world is small enough
 _MAX_MORE_SCALE, _MIN_SCALE_ERROR = 1.5, 0.001  # of scales at loops, relative to the graph
 
@@ -150,8 +148,7 @@ def measured_motions(loops: Sequence[tuple[int, int, Loop]], scale: Floats) -> M
     """Those of loops, in the unit of the world; none without loops."""
     motions = [_motion(loop, a, b, scale[a], scale[b]) for a, b, loop in loops]
     if not motions:
-        nothing = np.empty(0, np.int64)
-        return Motions(nothing, nothing, np.empty((0, 4, 4)), np.empty((0, 6, 6)))
+        return NO_MOTIONS
     return Motions(*(np.array(each) for each in zip(*motions, strict=True)))
 
 

@@ -55,7 +55,7 @@ class RigMapper:
         self._views = views
         self._config = config
         self._mapper = LocalMapper(local_map, frontend, config, stopwatch)
-        self._triangulator = KeyframeTriangulator(local_map, frontend, config)
+        self._triangulator = KeyframeTriangulator(local_map, frontend, config, of_rig=True)
         self._wanted = max(_MIN_LANDMARKS, _LANDMARKS // views)
 
     @property
@@ -150,7 +150,7 @@ class RigMapper:
         rows = np.concatenate([new[mask] for mask in unseen])
         camera = np.repeat(np.arange(len(others)), [np.count_nonzero(mask) for mask in unseen])
         camera += len(local_map.keyframes) - len(others)
-        found = find_patches(local_map, rows, camera, self._patches, turns=True)
+        found = find_patches(local_map, rows, camera, self._patches, of_rig=True)
         for number, other in enumerate(local_map.keyframes):
             here = found.camera == number
             if here.any():

@@ -198,7 +198,7 @@ class RigTracker:
         visible = [self._visible(frame, v, world_from_body @ tied[v]) for v in range(len(tied))]
         observed = []
         for v, seen in enumerate(visible):
-            self._aligner.world_from_image = (world_from_body @ tied[v])[:3, :3]
+            self._aligner.world_from_image = world_from_body @ tied[v]
             found = None if seen is None else self._aligner.align(seen, frame.views[v], None)
             observed.append(unobserved() if found is None else found)
         numbers = np.repeat(np.arange(len(observed)), [len(each) for each in observed])

@@ -15,6 +15,7 @@ from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.image_masks import used_at
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.mapping.lookup import rows_of
+from vo.engine.mapping.patch_search import map_homographies
 from vo.engine.mapping.tracked_frame import LastFrame, Observations
 from vo.engine.tracking.visibility import Visible
 
@@ -31,8 +32,7 @@ class LandmarkAligner:
     """Finds landmarks in a frame to sub-pixel.
 
     Attributes:
-        world_from_image: (3, 3) rotation of the image's view, in a rig whose views look to
-            different sides; else None.
+        world_from_image: (4, 4) predicted pose of the image's view in a rig; else None.
     """
 
     def __init__(self, local_map: LocalMap, frontend: Frontend, min_inliers: int) -> None:
@@ -51,18 +51,13 @@ class LandmarkAligner:
     ) -> Observations:
         """Find landmarks in a frame that should show them; without disparities."""
         rows = visible.rows
-        references = Patches(
-            self._map.images,
-            self._map.reference_slots()[rows],
-            self._map.reference_xy[rows],
-            visible.reference_from_image,
-        )
-        found = self._patches.align(references, frame.image0, visible.image_xy)
+        warp = visible.reference_from_image
         if self.world_from_image is not None:
-            rotations = np.stack([k.world_from_cam[:3, :3] for k in self._map.keyframes])
-            of_patch = rotations[self._map.reference[rows] - self._map.keyframes[0].id]
-            turn = of_patch.swapaxes(1, 2) @ self.world_from_image
-            found = self._patches.without_curvature(found, turn, self._map.rig.intrinsics)
+            targets = self.world_from_image[None], np.zeros(len(rows), np.int64)
+            warp = map_homographies(self._map, rows, targets, warp, visible.xy, visible.slope)
+        slots, centre = self._map.reference_slots()[rows], self._map.reference_xy[rows]
+        references = Patches(self._map.images, slots, centre, warp)
+        found = self._patches.align(references, frame.image0, visible.image_xy)
         x, y = (found.xy - visible.image_xy).T
         ideal = self._map.rig.undistort(found.xy)
         kept = found.nearly & self._patches.is_similar(found)
