@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
+from vo.base.geometry.transforms import inverse, se3_log, whole_transforms
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
+from vo.engine.geometry.so3 import exp_rows
 
 if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
     from vo.base.config import SmoothingConfig
@@ -95,10 +96,10 @@ class _Window:
         return hessian, gradient
 
     def moved(self, state: Floats, step: Floats) -> Floats:
-        """The poses after a step."""
-        poses: Floats = state.copy()
-        for k, tangent in zip(self._free.tolist(), step.reshape(-1, 6), strict=True):
-            poses[k] = orthonormalised(poses[k] @ se3_exp(tangent))
+        """The poses after a step, of which rotation and translation are apart."""
+        poses, tangent = state.copy(), step.reshape(-1, 6)
+        by = np.concatenate([exp_rows(tangent[:, :3]), tangent[:, 3:, None]], axis=2)
+        poses[self._free] = state[self._free] @ whole_transforms(by)
         return poses
 
     def _off(self, state: Floats) -> Floats:
