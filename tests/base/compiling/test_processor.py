@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vo.base.compiling.processor import use_common_instructions
+from vo.base.compiling.processor import has_common_instructions, use_common_instructions
 
 VO = Path(sys.executable).with_name("vo")
 LONGER = "avx avx2 bmi1 bmi2 f16c fma abm movbe avx512f avx512vl"
@@ -51,6 +51,18 @@ def test_what_is_set_for_blas_leaves_compiled_code_settled(tmp_path: Path, core:
     settled = _settled(tmp_path, LONGER, {"OPENBLAS_CORETYPE": core})
     assert settled["OPENBLAS_CORETYPE"] == core
     assert settled["NUMBA_CPU_NAME"] == "x86-64-v3" and settled["NUMBA_CPU_FEATURES"] == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "features", "expected"),
+    [("x86-64-v3", "", True), ("x86-64-v3", "-ssse3", False), ("generic", "", False)],
+)
+def test_code_for_other_instructions_is_known(
+    monkeypatch: pytest.MonkeyPatch, name: str, features: str, expected: bool
+) -> None:
+    monkeypatch.setenv("NUMBA_CPU_NAME", name)
+    monkeypatch.setenv("NUMBA_CPU_FEATURES", features)
+    assert has_common_instructions() == expected
 
 
 def test_another_kind_of_processor_is_left_alone(tmp_path: Path) -> None:

@@ -32,9 +32,10 @@ def is_complete(data: bytes) -> bool:
 def decode_grey(data: bytes) -> Bytes | None:
     """Pixels of an 8-bit grey image, (H, W).
 
-    None for other images and for damaged or unusual ones, which a general decoder must handle.
+    None for other images and for damaged, cut off or unusual ones, which a general decoder must
+    handle.
     """
-    header, packed = b"", []
+    header, packed, kind = b"", [], b""
     for kind, content in _chunks(data):
         if kind == b"IHDR":
             header = bytes(content)
@@ -42,11 +43,11 @@ def decode_grey(data: bytes) -> Bytes | None:
             packed.append(content)
         elif kind not in _IGNORED and kind != b"IEND":
             return None
-    if len(header) != 13 or header[8:] != _GREY_8_BITS:
+    if kind != b"IEND" or len(header) != 13 or header[8:] != _GREY_8_BITS:
         return None
     width, height = (int.from_bytes(header[k : k + 4], "big") for k in (0, 4))
     size = height * (1 + width)
-    unpacked = _inflate(b"".join(packed), size)
+    unpacked = _inflate(packed[0] if len(packed) == 1 else b"".join(packed), size)
     if 0 in (width, height) or len(unpacked) != size:
         return None
     rows = np.frombuffer(unpacked, dtype=np.uint8).reshape(height, 1 + width)
@@ -70,7 +71,7 @@ def _chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
         position = end + 4
 
 
-def _inflate(packed: bytes, size: int) -> bytes:
+def _inflate(packed: bytes | memoryview, size: int) -> bytes:
     """Decompressed data, cut off one byte after `size`; empty if damaged."""
     unpacker = isal_zlib.decompressobj()
     try:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import IO
-
-_log = logging.getLogger(__name__)
 
 # So that writing seldom blocks.
 _PIPE_BYTES = 1 << 20
@@ -69,8 +66,6 @@ def end_child(child: subprocess.Popen[bytes]) -> int:
     status = child.wait()
     for pipe in (child.stdin, child.stdout):
         assert pipe is not None
-        try:
+        with suppress(OSError):  # an incomplete problem is left in it
             pipe.close()
-        except OSError:
-            _log.debug("an incomplete problem was left in the pipe")
     return status

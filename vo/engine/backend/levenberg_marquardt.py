@@ -42,8 +42,7 @@ def minimise(
 
     `damping`: (N,) what lambda is multiplied by, the diagonal of the hessian if not given.
     """
-    state, factor = start, _INITIAL_LAMBDA
-    cost = variables.cost(state)
+    state, factor, cost = start, _INITIAL_LAMBDA, variables.cost(start)
     for _ in range(config.iterations):
         hessian, gradient = variables.equations(state)
         scale = np.diag(hessian) if damping is None else damping

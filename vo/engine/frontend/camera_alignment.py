@@ -7,10 +7,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import orthonormalised
 from vo.base.types import Bytes, Floats
-from vo.engine.frontend import patch_kernels
+from vo.engine.frontend.patch_kernels import cut_all, step_together
 from vo.engine.geometry.pnp import take_step
 
 _LEVELS = 3  # images of 1/2, 1/4 and 1/8 of the size, for initial errors of up to 16 px
@@ -26,8 +27,7 @@ class CameraAlignment(NamedTuple):
 
     Attributes:
         target_from_reference: (4, 4).
-        score: (N,) zero-mean normalised cross-correlation of each patch at half the size, -1 where
-            it could not be evaluated.
+        score: (N,) normalised cross-correlation of each patch at half the size, or -1.
     """
 
     target_from_reference: Floats
@@ -61,30 +61,34 @@ def align_sparse(
     Args:
         reference: `half_size_pyramid` of the reference image.
         reference_xy: (N, 2) pixels of the points in it, at full size.
-        target: `half_size_pyramid` of the camera's image.
+        target: that of the camera's image.
         points: (N, 3) in the reference camera's frame.
         start: (4, 4) target_from_reference to start from.
-        distort: (N, 2, 3) affine maps from ideal pixels near each point to pixels of the target
-            image.
+        distort: (N, 2, 3) affine maps from ideal pixels near each point to the target's pixels.
         intrinsics: of the ideal pinhole.
 
-    Source: Forster et al., SVO, 2014, sec. IV-A (sparse image alignment, inverse compositional,
-        coarse to fine), on patches of equal mean and contrast.
+    Source: Forster et al., SVO, 2014, sec. IV-A, on patches of equal mean and contrast.
     """
     motion, score = np.ascontiguousarray(start), np.full(len(points), -1.0)
     for level in reversed(range(len(reference))):
         scale = 0.5 ** (level + 1)  # pixel p of the full size is at (p + 1/2) s - 1/2
-        templates, sums = patch_kernels.cut_all(
-            reference[level], (reference_xy + 0.5) * scale - 0.5, _HALF_PX
-        )
-        pixel_from_ideal = distort * scale
+        xy, pixel_from_ideal = (reference_xy + 0.5) * scale - 0.5, distort * scale
         pixel_from_ideal[:, :, 2] += 0.5 * scale - 0.5
-        for _ in range(_ITERATIONS):
-            h, b, per_pixel, score = patch_kernels.step_together(
-                *(templates, sums, target[level], points, pixel_from_ideal, intrinsics),
-                *(motion, _HALF_PX, _NOISE),
-            )
-            motion, length = take_step(h, b, motion)
-            if length < _SETTLED_PX**2 * per_pixel:
-                break
+        images = reference[level], target[level]
+        motion, score = _align_level(*images, xy, points, pixel_from_ideal, intrinsics, motion)
     return CameraAlignment(orthonormalised(motion), score)
+
+
+@compiled
+def _align_level(reference, target, xy, points, pixel_from_ideal, intrinsics, start):  # type: ignore[no-untyped-def]
+    """The motion (4, 4) from images of one level, and the scores of the points."""
+    motion, score = start, np.full(len(points), -1.0)
+    templates, sums = cut_all(reference, xy, _HALF_PX)
+    for _ in range(_ITERATIONS):
+        h, b, per_pixel, score = step_together(
+            templates, sums, target, points, pixel_from_ideal, intrinsics, motion, _HALF_PX, _NOISE
+        )
+        motion, length = take_step(h, b, motion)
+        if length < _SETTLED_PX * _SETTLED_PX * per_pixel:
+            break
+    return motion, score

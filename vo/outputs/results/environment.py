@@ -7,6 +7,7 @@ import re
 import resource
 import sys
 import time
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -45,6 +46,7 @@ def process_age_s() -> float | None:
     return time.clock_gettime(time.CLOCK_BOOTTIME) - started_s
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python, this package and the libraries that affect results."""
     found = {"python": ".".join(map(str, sys.version_info[:3])), "vo": __version__}

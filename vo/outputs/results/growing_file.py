@@ -53,6 +53,8 @@ class GrowingFile:
     def replace_from(self, row: int, lines: Iterable[str]) -> None:
         """Replace a row and all rows after it. After an error the file ends with a whole line."""
         encoded = [f"{line}\n".encode() for line in lines]
+        if row == len(self) and not encoded:
+            return
         old_end = self._offsets[-1]
         del self._offsets[row + 1 :]
         begin = self._offsets[-1]

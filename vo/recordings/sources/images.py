@@ -125,17 +125,18 @@ def decode_image(data: bytes, name: str, colour: bool = False) -> Pixels:
     """Decode an image file in memory, with 8 or 16 bits, without transparency."""
     if not data:
         raise SourceError(f"image {name} is empty")
+    width, height = stated_size(data) or (0, 0)
+    is_small = width * height <= MAX_PIXELS
+    grey = png.decode_grey(data) if is_small and data.startswith(png.SIGNATURE) else None
+    if grey is not None:
+        return grey
     # OpenCV fills the missing part of a truncated JPEG with grey and reports no error.
     if not is_complete(data):
         raise SourceError(f"image {name} is cut off or damaged ({len(data)} bytes)")
-    width, height = stated_size(data) or (0, 0)
-    if width * height > MAX_PIXELS:
+    if not is_small:
         raise SourceError(
             f"image {name} has {width}x{height} pixels; at most {MAX_PIXELS} are decoded"
         )
-    grey = png.decode_grey(data) if data.startswith(png.SIGNATURE) else None
-    if grey is not None:
-        return grey
     try:
         with quiet_opencv:
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS[colour])
