@@ -14,9 +14,10 @@ from vo.engine.rig.tracked import RigTracked, landmarks_per_view
 from vo.engine.tracking.keyframe_policy import Change, KeyframePolicy, median_parallax
 
 _MIN_OBSERVATIONS = 10  # of a view whose parallax counts
-_PARALLAX_QUANTILE = 0.25
-# Of several views some always lose much: relative to what a pair may lose.
-_LOST_RATIO = 0.8
+# Quantile of the parallax of views that counts. Of several views some always lose much: relative to
+# what a pair may lose. The second ones while a camera is left out: then views that keep their
+# landmarks, to the rear, must not keep those ahead waiting for new ones, which give the scale.
+_PARALLAX_QUANTILE, _LOST_RATIO = (0.25, 0.75), (0.8, 1.0)
 
 
 class RigKeyframePolicy:
@@ -41,12 +42,12 @@ class RigKeyframePolicy:
             if len(rows) >= _MIN_OBSERVATIONS:
                 centres = before.world_from_cam[:3, 3], view.world_from_cam[:3, 3]
                 parallax.append(median_parallax(local_map.xyz[rows], *centres))
-        used = np.array(frame.used)
+        used, lacks = np.array(frame.used), int(not all(frame.used))
         counts = np.array([len(k.landmark) for k in last])
         change = Change(
             round(self._ratio * tracked.inliers),
-            round(self._ratio * _LOST_RATIO * float(counts[used].sum())),
-            float(np.quantile(parallax, _PARALLAX_QUANTILE)) if parallax else 0.0,
+            round(self._ratio * _LOST_RATIO[lacks] * float(counts[used].sum())),
+            float(np.quantile(parallax, _PARALLAX_QUANTILE[lacks])) if parallax else 0.0,
             1e-9 * (frame.stamp_ns - last[0].frame.stamp_ns),
         )
         return self._policy.needs_keyframe(change)
