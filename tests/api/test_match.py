@@ -211,3 +211,23 @@ def test_features_are_an_extractor_of_the_odometry() -> None:
     odometry = vo.Odometry(RIG, components=components)
     estimate = odometry.track(0, A)
     assert estimate.features > 100
+
+
+def test_wide_fisheyes_have_a_motion(tmp_path: Path) -> None:
+    """Images of 160 degrees, whose ideal pixels at the edge are far away."""
+    settings = ["world=room", "motion=handheld", "seconds=1", "fps=4", "seed=3"]
+    path = vo.synth(tmp_path / "walk", camera="robot", effects="none", overrides=settings)
+    recording = vo.open(path)
+    found = vo.match(f"{path}:0", f"{path}:1")
+    assert found.pose is not None
+    truth = recording.ground_truth
+    assert truth is not None
+    first, second = (
+        truth.world_from_cam[np.argmin(np.abs(truth.stamps_ns - stamp))]
+        for stamp in recording.stamps_ns[:2]
+    )
+    moved = np.linalg.inv(second) @ first
+    turn = found.pose.second_from_first[:3, :3].T @ moved[:3, :3]
+    assert np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))) < 1.0
+    ahead = found.pose.second_from_first[:3, 3], moved[:3, 3] / np.linalg.norm(moved[:3, 3])
+    assert ahead[0] @ ahead[1] > 0.99

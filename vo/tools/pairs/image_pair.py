@@ -35,6 +35,8 @@ ModelName = Literal["auto", "f", "e", "h"]
 # Networks that compare how features lie to each other choose matches that fit together, in
 # unrelated images too: only those that are this certain (1 - probability) count against chance.
 _GUIDED, _MAX_SCORE, _MIN_CERTAIN = ("lightglue", "lighterglue"), 0.4, 4
+# Beyond 75 degrees from the axis a pixel of the lens is many of a pinhole camera.
+_MAX_TANGENT = np.tan(np.deg2rad(75.0))
 
 
 class PairOptions(NamedTuple):
@@ -199,12 +201,22 @@ def _matches(
     return grid_motion_consistent(every, keypoints[0].xy, keypoints[1].xy, sizes)
 
 
+def _ideal(camera: Camera, pixels: Floats) -> Floats:
+    """Ideal pixels (N, 2); NaN, and so left out, where a wide lens would stretch them too far."""
+    ideal = ideal_pixels(camera, pixels)
+    rays = (ideal - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    with np.errstate(invalid="ignore"):
+        far = np.hypot(rays[:, 0], rays[:, 1]) > _MAX_TANGENT
+    ideal[far] = np.nan
+    return ideal
+
+
 def _with_geometry(pair: ImagePair, options: PairOptions) -> ImagePair:
     first, second, cameras = pair.first_xy, pair.second_xy, pair.cameras
     matrices = None
     if cameras is not None:
         matrices = (cameras[0].matrix, cameras[1].matrix)
-        first, second = ideal_pixels(cameras[0], first), ideal_pixels(cameras[1], second)
+        first, second = (_ideal(*each) for each in zip(cameras, (first, second), strict=True))
     quality = pair.matches.score
     if options.model == "auto":
         found = fit_best(first, second, matrices, options.fit, quality)
