@@ -102,7 +102,8 @@ class MapAlignment:
             self._memory.finish(local_map)
         if self._final is not None:
             unsure = set() if self._memory is None else self._memory.unsure_worlds
-            moved = self._final.finish(local_map, self.accepted_loops, unsure)
+            joint = None if self._inertial is None else self._inertial.joint
+            moved = self._final.finish(local_map, self.accepted_loops, unsure, joint)
             if self._memory is not None:
                 self._memory.adjusted += moved
         if self._inertial is not None:

@@ -198,7 +198,7 @@ def _use_whole_path() -> None:
     )
     found = path.adjust_path(problem, path.NO_MOTIONS, config)
     if found is not None:
-        path.path_covariance(problem, found, path.NO_MOTIONS, config)
+        path.path_covariance(path.path_information(problem, found, path.NO_MOTIONS, config))
     path.calibration_step(problem, config)
 
 

@@ -12,7 +12,12 @@ from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import se3_exp
 from vo.base.types import Floats
 from vo.engine.backend.bundle import Bundle
-from vo.engine.backend.loop_adjustment import NO_MOTIONS, adjust_path, path_covariance
+from vo.engine.backend.loop_adjustment import (
+    NO_MOTIONS,
+    adjust_path,
+    path_covariance,
+    path_information,
+)
 from vo.engine.backend.path_equations import coupled_poses, levels_of
 from vo.engine.backend.solution import information_by_images
 from vo.engine.backend.window_problem import WindowProblem
@@ -125,10 +130,13 @@ def test_covariances_are_those_of_the_dense_inverse() -> None:
     _, problem = _walk(50)
     path = adjust_path(problem, NO_MOTIONS, _CONFIG)
     assert path is not None
-    found = path_covariance(problem, path, NO_MOTIONS, _CONFIG)
-    assert found is not None
+    equations = path_information(problem, path, NO_MOTIONS, _CONFIG)
+    found = path_covariance(equations)
+    assert equations is not None and found is not None
     usable = np.bincount(problem.point, minlength=len(problem.points)) >= 2
     information = information_by_images(problem, *path, usable, _CONFIG)[6:, 6:]
+    dense = equations.dense()
+    np.testing.assert_allclose(2.0 * dense, information, atol=1e-9 * np.abs(dense).max())
     blocks = 2.0 * np.linalg.inv(information).reshape(49, 6, 49, 6)  # errors are alike
     np.testing.assert_array_equal(found[0], 0.0)
     expected = blocks[np.arange(49), :, np.arange(49)]

@@ -13,12 +13,18 @@ from room_course import ate
 from vo.base.config import PatchConfig, load_config
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
-from vo.engine.backend.loop_adjustment import AdjustedPath, Motions, path_covariance
+from vo.engine.backend.loop_adjustment import (
+    AdjustedPath,
+    Motions,
+    path_covariance,
+    path_information,
+)
 from vo.engine.frontend.frontend import make_frontend
 from vo.engine.frontend.lazy_future import finished
 from vo.engine.frontend.orb import OrbExtractor
 from vo.engine.frontend.patch_alignment import PatchAligner
 from vo.engine.frontend.preprocessing import PreprocessedFrame
+from vo.engine.inertial.joint_path import JointPaths
 from vo.engine.memory import final_adjustment
 from vo.engine.memory.rematching import PathViews, rematched, with_depths
 from vo.outputs.evaluation.evaluation import evaluate
@@ -154,6 +160,20 @@ def test_best_keeps_metre_and_vertical_of_an_inertial_sensor(
     assert in_metres[2] < 1.1 * in_metres[0]
 
 
+def test_two_cameras_follow_their_sensor_in_the_whole_adjustment(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hall = shared_data / "rendered_hall_stereo"
+    config = load_config("best", ["memory.loops=false", "refinement.rounds=1"])
+    run(hall, tmp_path / "both", config=config)
+    monkeypatch.setattr(JointPaths, "of", lambda *_: None)
+    run(hall, tmp_path / "images", config=config)
+    causal = [(tmp_path / name / "causal.tum").read_bytes() for name in ("both", "images")]
+    assert causal[0] == causal[1]
+    both, images = ate(tmp_path / "both", hall), ate(tmp_path / "images", hall)
+    assert both != images and both < 1.05 * images
+
+
 @pytest.mark.parametrize("has_sensor", [False, True])
 def test_where_the_last_gate_disconnects_keyframes_the_round_before_is_kept(
     shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_sensor: bool
@@ -182,7 +202,8 @@ def test_covariances_are_those_of_the_adjusted_path() -> None:
     nothing = Motions(*(np.empty((0, *size)) for size in ((), (), (4, 4), (6, 6))))
     nothing = nothing._replace(earlier=np.empty(0, np.int64), later=np.empty(0, np.int64))
     path = AdjustedPath(found.world_from_cam, found.points)
-    covariance = path_covariance(problem, path, nothing, load_config("best").smoothing)
+    smoothing = load_config("best").smoothing
+    covariance = path_covariance(path_information(problem, path, nothing, smoothing))
     assert covariance is not None
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     np.testing.assert_array_equal(sigma[0], 0.0)
@@ -192,4 +213,5 @@ def test_covariances_are_those_of_the_adjusted_path() -> None:
         name: getattr(problem, name)[problem.keyframe < _COUNT - 1]
         for name in ("keyframe", "point", "xy", "disparity", "sigma_px")
     }
-    assert path_covariance(replace(problem, **rest), path, nothing, load_config().smoothing) is None
+    rest_problem = replace(problem, **rest)
+    assert path_covariance(path_information(rest_problem, path, nothing, smoothing)) is None

@@ -104,10 +104,10 @@ def adjust_path(
     return AdjustedPath(poses[levels.place], points)
 
 
-def path_covariance(
+def path_information(
     problem: WindowProblem, path: AdjustedPath, motions: Motions, config: SmoothingConfig
-) -> Floats | None:
-    """(K, 6, 6) of the poses relative to the first one; None where they are not determined."""
+) -> PathEquations | None:
+    """That of images and motions on all poses; None where they determine nothing."""
     usable = _usable(problem)
     _, motions, levels = _ordered(problem, motions, usable)
     poses, first = path.world_from_cam[levels.order], levels.place[:_OF_UNIT]
@@ -126,8 +126,13 @@ def path_covariance(
             for b, column in zip(first, by_scale, strict=True):
                 if a <= b:
                     equations.add(a, b, np.outer(row, column))
+    return equations
+
+
+def path_covariance(information: PathEquations | None) -> Floats | None:
+    """(K, 6, 6) of the poses relative to the first one; None where they are not determined."""
     try:
-        return equations.covariances()[levels.place]
+        return None if information is None else information.covariances()[information.levels.place]
     except np.linalg.LinAlgError:
         return None
 

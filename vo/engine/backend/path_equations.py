@@ -101,20 +101,35 @@ class _Eliminated(NamedTuple):
 
 
 class PathEquations:
-    """The matrix H of the poses, and its solutions with the first one held."""
+    """The matrix H of the poses, and its solutions with the first one held.
+
+    Attributes:
+        levels: the order of the poses.
+    """
 
     def __init__(self, levels: Levels, flat: Floats) -> None:
-        self._levels, self._flat = levels, flat
+        self.levels, self._flat = levels, flat
         self._blocks = flat.reshape(-1, BLOCK // LANES, LANES)[:, :, :6]
 
     def add(self, a: int, b: int, block: Floats) -> None:
         """Add the (6, 6) that couples pose a with pose b, which is not before it."""
-        self._blocks[self._levels.row[a] + b] += block
+        self._blocks[self.levels.row[a] + b] += block
 
     def shared(self) -> tuple[Floats, Floats]:
         """Of six parameters that all poses have in common: (6 K - 6, 6) coupling, own (6, 6)."""
-        number = (self._levels.row + self._levels.end)[1:]
+        number = (self.levels.row + self.levels.end)[1:]
         return self._blocks[number[:-1]].reshape(-1, 6), self._blocks[number[-1]]
+
+    def dense(self) -> Floats:
+        """(6 K - 6, 6 K - 6) H of all poses but the first, in their order elsewhere."""
+        order, count = self.levels.order, len(self.levels.order)
+        result = np.zeros((count, 6, count, 6))
+        for a in range(1, count):
+            coupled = np.arange(a, self.levels.end[a])
+            blocks = self._blocks[self.levels.row[a] + coupled]
+            result[order[a], :, order[coupled]] = blocks
+            result[order[coupled], :, order[a]] = np.swapaxes(blocks, 1, 2)
+        return result[1:, :, 1:].reshape(6 * count - 6, 6 * count - 6)
 
     def solve(self, right: Floats, damping: float = 0.0) -> Floats:
         """(6 K - 6, n) x with (H + damping diag(H)) x = right.
@@ -134,7 +149,7 @@ class PathEquations:
         Raises:
             numpy.linalg.LinAlgError: it is not positive definite.
         """
-        count = len(self._levels.order)
+        count = len(self.levels.order)
         found, whole = np.zeros((count, 6, 6)), np.zeros((0, 0))
         for level in reversed(self._eliminated(np.zeros((6 * count - 6, 0)), 0.0)):
             np.linalg.cholesky(level.matrix)
@@ -146,7 +161,7 @@ class PathEquations:
 
     def _eliminated(self, right: Floats, damping: float) -> list[_Eliminated]:
         """All levels; `right` becomes y."""
-        row, begins, count = self._levels.row, self._levels.begins, len(self._levels.order)
+        row, begins, count = self.levels.row, self.levels.begins, len(self.levels.order)
         own = self._blocks[row[1:count] + np.arange(1, count)]
         diagonal = np.diagonal(own, axis1=1, axis2=2).ravel()
         added = damping * np.maximum(diagonal, _LEAST_DIAGONAL * diagonal.max())

@@ -48,7 +48,7 @@ _TURN_LOG_SCALE = 0.007  # from one keyframe to the next in such a turn
 _METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
 # Parts of the variances of metric motions among which the evidence decides: errors over many
 # keyframes and over one have these on average (docs/experiments/covariances.md).
-_PARTS = (0.5, 0.25)
+PARTS = (0.5, 0.25)
 _DOUBT = 2.0  # evidence less than the largest that a value is not refuted by
 _HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
@@ -203,7 +203,7 @@ def with_weighed_images(estimate: Estimate, prior: Prior, noise: ImuNoise) -> Es
     Source: Hoeting et al., "Bayesian model averaging: a tutorial", 1999.
     """
     tried = [estimate]
-    for part in _PARTS:
+    for part in PARTS:
         steps = replace(estimate.steps, covariance=part * estimate.steps.covariance)
         tried.append(estimate_states(tried[-1].states, steps, prior, noise))
     evidence = np.array([each.evidence for each in tried])
@@ -222,6 +222,7 @@ class ChainProblem:
 
     Attributes:
         misfit: root mean square of all normalised residuals at the newest states, 0 without any.
+        cost: sum of all weighed squares there.
         steps: all measurements.
         inertial_rows: of the states before inertial motions.
         visual_rows: of those before motions by images.
@@ -230,7 +231,7 @@ class ChainProblem:
     def __init__(
         self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
     ) -> None:
-        self.misfit = self._cost = 0.0
+        self.misfit = self.cost = 0.0
         self.steps, self._priors = steps, [(0, prior)]
         if last is not None:
             self._priors.append((len(steps.inertial), last))
@@ -256,12 +257,12 @@ class ChainProblem:
     def normal_equations(self, states: States) -> Equations:
         """Normal equations of a step from these states."""
         equations = empty_equations(states.number, WIDTH)
-        self._cost = 0.0
+        self.cost = 0.0
         for row, prior in self._priors:
             off = states.rows(slice(row, row + 1)).since(prior.at)[0]
             equations.before[row] += prior.information
             equations.gradient_before[row] += prior.gradient + prior.information @ off
-            self._cost += float(off @ (2.0 * prior.gradient + prior.information @ off))
+            self.cost += float(off @ (2.0 * prior.gradient + prior.information @ off))
         total, count = 0.0, 0
         if len(self.inertial_rows):
             inertial, information = self.inertial(states), self.inertial_information
@@ -273,7 +274,7 @@ class ChainProblem:
             total += add_factors(self.visual_rows, *visual, information, _HUBER, equations)
             count += visual.residual.size
         self._add_scale(equations, states)
-        self._cost += total
+        self.cost += total
         self.misfit = float(np.sqrt(total / count)) if count else 0.0
         return equations
 
@@ -282,7 +283,7 @@ class ChainProblem:
         determined = np.linalg.slogdet(solution.reduced + equations.after)[1].sum()
         assumed = np.linalg.slogdet(self.visual_information)[1].sum()
         assumed -= 2.0 * np.log(self._sigma_scale[self.steps.is_visual]).sum()
-        return float(0.5 * (assumed - determined - self._cost))
+        return float(0.5 * (assumed - determined - self.cost))
 
     def inertial(self, states: States) -> Linearised:
         """Residuals of the inertial motions, of `inertial_rows`."""
@@ -306,7 +307,7 @@ class ChainProblem:
         change = np.diff(np.concatenate([states.gyro_bias, states.accel_bias], axis=1), axis=0)
         rows = np.arange(len(change))
         add_changes(rows, GYRO_BIAS.start, self._walk**-2.0, change, equations)
-        self._cost += float(((change / self._walk) ** 2).sum())
+        self.cost += float(((change / self._walk) ** 2).sum())
         if len(self._missing):
             change = np.diff(states.velocity, axis=0)[self._missing]
             weight = np.full_like(change, _VELOCITY_M_S**-2.0)
@@ -321,7 +322,7 @@ class ChainProblem:
             sigma[:] = _FIXED_LOG_SCALE
         weight = sigma[:, None] ** -2.0
         add_changes(np.arange(len(change)), LOG_SCALE, weight, change[:, None], equations)
-        self._cost += float(((change / sigma) ** 2).sum())
+        self.cost += float(((change / sigma) ** 2).sum())
 
 
 def _ends(states: States, rows: Ints) -> tuple[States, States]:

@@ -19,6 +19,7 @@ from vo.base.types import Floats, Ints
 from vo.engine.inertial.agreement import Agreement
 from vo.engine.inertial.chain import InertialChain
 from vo.engine.inertial.initialisation import WRONG, tilt_sigma
+from vo.engine.inertial.joint_path import JointPaths
 from vo.engine.inertial.keyframe_states import KeyframeStates, Node, certain
 from vo.engine.inertial.prediction import (
     InertialPredictor,
@@ -54,6 +55,7 @@ class InertialAlignment:
         stopwatch: measures the stage `inertial`.
         map_poses: where the keyframes of a single camera are by the sensor.
         contradiction: after `finish`, how it contradicts the images; None where it does not.
+        joint: after `finish`, metric paths by images and sensor.
 
     `reader`: of a sensor with known extrinsics; its time offset is replaced where it is wrong.
     """
@@ -79,6 +81,7 @@ class InertialAlignment:
         self._adjoint = adjoint(sensor.cam0_from_imu)
         noise, imu_from_cam = predictor.noise, predictor.imu_from_cam
         self._chain = InertialChain(reader, noise, imu_from_cam, is_metric=is_metric)
+        self.joint = JointPaths(noise)
         self._offset = OffsetSearch(reader)
         self._gaps = InertialGaps(trajectory, reader, predictor.noise, sensor.cam0_from_imu)
         self._turns = InertialTurns(trajectory, predictor, reader, self._imu_from_cam0)
@@ -184,8 +187,7 @@ class InertialAlignment:
 
     def _found_contradiction(self) -> str | None:
         """How sensor and images contradict each other, after the last frame."""
-        reason = self._chain.reason
-        found = self._chain.agreement.contradiction
+        reason, found = self._chain.reason, self._chain.agreement.contradiction
         if found is None and reason in WRONG and not self._chain.is_initialised:
             found = reason.value
         if found is None:
@@ -255,20 +257,18 @@ class InertialAlignment:
 
     def _place(self, solved: KeyframeStates | None, *, keeps_earlier: bool = True) -> None:
         """Place the keyframes of a single camera in the metric, upright world."""
-        if solved is None:
-            return
-        if self._is_metric:
+        if solved is not None and self._is_metric:
             self._join(solved)
-            return
-        self.map_poses.update(solved.world, self._estimated(solved), keeps_earlier=keeps_earlier)
+        elif solved is not None:
+            estimated = self._estimated(solved)
+            self.map_poses.update(solved.world, estimated, keeps_earlier=keeps_earlier)
 
     def _estimated(self, solved: KeyframeStates) -> dict[int, EstimatedPose]:
         """The keyframes whose scale is certain enough, by id."""
         rows = certain(solved)
         states = solved.estimate.states
         world_from_imu = np.tile(np.eye(4), (len(rows), 1, 1))
-        world_from_imu[:, :3, :3] = states.rotation[rows]
-        world_from_imu[:, :3, 3] = states.position[rows]
+        world_from_imu[:, :3, :4] = np.dstack([states.rotation[rows], states.position[rows]])
         pose, scale = world_from_imu @ self._imu_from_cam0, np.exp(states.log_scale[rows])
         covariance = self._covariance(solved, rows)
         result: dict[int, EstimatedPose] = {}
@@ -328,9 +328,10 @@ class InertialAlignment:
         rectified = self._trajectory.world_from_rectified(cam0)
         in_first = nodes[0].world_from_cam @ inverse(rectified[0]) @ rectified
         self._trajectory.store.metric.fused |= {node.segment for node in nodes}
+        self.joint.placed.append(solved)
         ids = np.array([node.keyframe for node in nodes], np.int64)
-        for keyframe, each in zip(ids.tolist(), in_first, strict=True):
-            self._fused[keyframe] = InertialPose(solved.world, each, 1.0)
+        placed = zip(ids.tolist(), in_first, strict=True)
+        self._fused.update((k, InertialPose(solved.world, each, 1.0)) for k, each in placed)
         if any(self.map_poses.is_in_graph(node.segment) for node in nodes):
             self.map_poses.awaits_graph = True
             return

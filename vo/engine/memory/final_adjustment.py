@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from vo.engine.backend.loop_adjustment import (
     adjust_path,
     calibration_step,
     path_covariance,
+    path_information,
 )
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import WindowProblem
@@ -38,9 +39,14 @@ from vo.engine.memory.rematching import PathViews, rematched, with_depths
 from vo.engine.places.records import Loop, RegisteredKeyframes
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
+if TYPE_CHECKING:  # many runs have no sensor
+    from vo.engine.backend.path_equations import PathEquations
+    from vo.engine.inertial.joint_path import JointPaths
+
 _log = logging.getLogger(__name__)
 _MAX_KEYFRAMES = 2000  # whose images stay in memory
 _MIN_KEYFRAMES = 3
+_MAX_JOINT = 400  # with a sensor, whose equations are dense
 _SESSION = 0  # there is no adjustment in a loaded map
 # Landmarks that a keyframe shares with those before it; where there are fewer, a sensor is better.
 _MIN_SHARED, _MIN_SHARED_BY_SENSOR = 20, 60
@@ -87,6 +93,7 @@ class FinalAdjustment:
         self._patches, self._stereo = frontend.patches, frontend.stereo
         self._stored: dict[int, _Stored] | None = {}
         self._pairs: dict[int, PreprocessedFrame] = {}
+        self._joint: JointPaths | None = None
         self._is_finished = False
 
     def see(self, keyframe: Keyframe, frame: PreprocessedFrame) -> None:
@@ -134,10 +141,18 @@ class FinalAdjustment:
 
     @timed("adjustment")
     def finish(
-        self, local_map: LocalMap, loops: Sequence[Loop], unsure: set[int]
+        self,
+        local_map: LocalMap,
+        loops: Sequence[Loop],
+        unsure: set[int],
+        joint: JointPaths | None = None,
     ) -> list[RegisteredKeyframes]:
-        """Adjust the paths of all worlds but the unsure ones; those that were moved."""
+        """Adjust the paths of all worlds but the unsure ones; those that were moved.
+
+        `joint`: of an inertial sensor, whose samples two cameras' paths follow, too.
+        """
         local_map.hand_over([self])
+        self._joint = joint
         self._is_finished = True
         stored, self._stored = self._stored or {}, {}
         moved = []
@@ -206,10 +221,10 @@ class FinalAdjustment:
         if connected is None or (by_sensor and connected is not views):
             return None
         views, found = connected, AdjustedPath(connected.world_from_cam, connected.points)
-        covariance = path_covariance(self._weighted(views, rig), found, motions, smoothing)
+        information = path_information(self._weighted(views, rig), found, motions, smoothing)
         if rig.is_metric:
-            adjusted = replace(registered, world_from_cam=views.world_from_cam)
-            return adjusted if covariance is None else replace(adjusted, covariance=covariance)
+            return self._placed(registered, views.world_from_cam, information)
+        covariance = path_covariance(information)
         depth = [s * each.xyz[:, 2] for s, each in zip(registered.scale, stored, strict=True)]
         start = self._problem(measured, rig)
         kept = with_scale_kept(registered, start, found, np.concatenate(depth), inside)
@@ -217,6 +232,19 @@ class FinalAdjustment:
             return kept
         kept = replace(kept, covariance=covariance)
         return _as_whole_where(kept, registered) if by_sensor else kept
+
+    def _placed(
+        self, registered: RegisteredKeyframes, poses: Floats, information: PathEquations | None
+    ) -> RegisteredKeyframes:
+        """A metric path by the information of its images, and by its sensor, where it has one."""
+        covariance = path_covariance(information)
+        if covariance is None or information is None:
+            return replace(registered, world_from_cam=poses)
+        ids, placed = [key.keyframe for key in registered.keys], None
+        if self._joint is not None and len(ids) <= _MAX_JOINT:
+            placed = self._joint.of(ids, poses, information.dense())
+        poses, covariance = placed or (poses, covariance)
+        return replace(registered, world_from_cam=poses, covariance=covariance)
 
     def _weighted(self, views: PathViews, rig: RectifiedRig) -> WindowProblem:
         return with_measured_noise(self._problem(views, rig))
