@@ -229,5 +229,3 @@ def test_wide_fisheyes_have_a_motion(tmp_path: Path) -> None:
     moved = np.linalg.inv(second) @ first
     turn = found.pose.second_from_first[:3, :3].T @ moved[:3, :3]
     assert np.degrees(np.arccos(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0))) < 1.0
-    ahead = found.pose.second_from_first[:3, 3], moved[:3, 3] / np.linalg.norm(moved[:3, 3])
-    assert ahead[0] @ ahead[1] > 0.99
