@@ -7,11 +7,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from vo.base.compiling.function import compiled
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import orthonormalised
 from vo.base.types import Bytes, Floats
-from vo.engine.frontend.patch_kernels import cut_all, step_together
+from vo.engine.frontend import patch_kernels
 from vo.engine.geometry.pnp import take_step
 
 _LEVELS = 3  # images of 1/2, 1/4 and 1/8 of the size, for initial errors of up to 16 px
@@ -72,23 +71,17 @@ def align_sparse(
     motion, score = np.ascontiguousarray(start), np.full(len(points), -1.0)
     for level in reversed(range(len(reference))):
         scale = 0.5 ** (level + 1)  # pixel p of the full size is at (p + 1/2) s - 1/2
-        xy, pixel_from_ideal = (reference_xy + 0.5) * scale - 0.5, distort * scale
-        pixel_from_ideal[:, :, 2] += 0.5 * scale - 0.5
-        images = reference[level], target[level]
-        motion, score = _align_level(*images, xy, points, pixel_from_ideal, intrinsics, motion)
-    return CameraAlignment(orthonormalised(motion), score)
-
-
-@compiled
-def _align_level(reference, target, xy, points, pixel_from_ideal, intrinsics, start):  # type: ignore[no-untyped-def]
-    """The motion (4, 4) from images of one level, and the scores of the points."""
-    motion, score = start, np.full(len(points), -1.0)
-    templates, sums = cut_all(reference, xy, _HALF_PX)
-    for _ in range(_ITERATIONS):
-        h, b, per_pixel, score = step_together(
-            templates, sums, target, points, pixel_from_ideal, intrinsics, motion, _HALF_PX, _NOISE
+        templates, sums = patch_kernels.cut_all(
+            reference[level], (reference_xy + 0.5) * scale - 0.5, _HALF_PX
         )
-        motion, length = take_step(h, b, motion)
-        if length < _SETTLED_PX * _SETTLED_PX * per_pixel:
-            break
-    return motion, score
+        pixel_from_ideal = distort * scale
+        pixel_from_ideal[:, :, 2] += 0.5 * scale - 0.5
+        for _ in range(_ITERATIONS):
+            h, b, per_pixel, score = patch_kernels.step_together(
+                *(templates, sums, target[level], points, pixel_from_ideal, intrinsics),
+                *(motion, _HALF_PX, _NOISE),
+            )
+            motion, length = take_step(h, b, motion)
+            if length < _SETTLED_PX**2 * per_pixel:
+                break
+    return CameraAlignment(orthonormalised(motion), score)
