@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 
-from vo.base.compiling.openblas import choose_kernels_again
+from vo.base.compiling.openblas import choose_kernels_again, use_one_thread
 from vo.base.compiling.processor import use_common_instructions
 from vo.engine.odometry import Odometry
 from vo.engine.warmup import is_warm, warm_up
@@ -30,6 +30,7 @@ def prepare() -> None:
     with _lock:
         use_common_instructions()
         choose_kernels_again()
+        use_one_thread()
         if is_warm():
             return
         _log.warning("compiling the inner loops, once: 10 to 20 s; `vo warmup` does it beforehand")

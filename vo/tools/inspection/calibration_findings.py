@@ -68,10 +68,15 @@ def _baseline(length_m: float, depth_m: float | None) -> Iterator[Finding]:
 
 def stereo_findings(report: Report, rig: Rig) -> Iterator[Finding]:
     """Findings about the stereo pair, of a larger rig its first two if they are one."""
-    if rig.cam1_from_cam0 is None or (is_rig(rig) and report.pair is None):
+    if rig.cam1_from_cam0 is None:
+        return
+    length_m = float(np.linalg.norm(rig.cam1_from_cam0[:3, 3]))
+    if is_rig(rig) and report.pair is None:
+        if not rig.further and length_m > _USUAL_BASELINE_M[1]:  # far apart by a wrong unit
+            yield from _baseline(length_m, None)
         return
     depth_m = None if report.stereo is None else report.stereo.depth_m
-    yield from _baseline(float(np.linalg.norm(rig.cam1_from_cam0[:3, 3])), depth_m)
+    yield from _baseline(length_m, depth_m)
     try:
         rectified_rig(rig)
     except CalibrationError as error:
