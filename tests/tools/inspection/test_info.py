@@ -312,14 +312,19 @@ def test_a_mirrored_right_image_is_told(walk: Path) -> None:
     assert finding(report_of(walk), "the right image is mirrored left to right").level == "error"
 
 
-def test_a_rig_is_described_and_drawn(tmp_path: Path) -> None:
-    for number in range(6):
-        (tmp_path / f"cam{number}").mkdir()
+def noise_of(folder: Path, rig: str, cameras: int, shape: tuple[int, int]) -> Path:
+    """A folder of three frames of noise, and the calibration of a rig."""
+    for number in range(cameras):
+        (folder / f"cam{number}").mkdir()
         for i in range(3):
-            grey = np.random.default_rng(i).integers(0, 255, (300, 400), dtype=np.uint8)
-            cv2.imwrite(str(tmp_path / f"cam{number}" / f"{10**18 + i * 10**8}.png"), grey)
-    shutil.copy(camera_file("car"), tmp_path / "calibration.yaml")
-    opened = open_leniently(tmp_path)
+            grey = np.random.default_rng(i).integers(0, 255, shape, dtype=np.uint8)
+            cv2.imwrite(str(folder / f"cam{number}" / f"{10**18 + i * 10**8}.png"), grey)
+    shutil.copy(camera_file(rig), folder / "calibration.yaml")
+    return folder
+
+
+def test_a_rig_is_described_and_drawn(tmp_path: Path) -> None:
+    opened = open_leniently(noise_of(tmp_path, "car", 6, (300, 400)))
     report = inspect(opened)
     assert [camera.name for camera in report.cameras] == [f"cam{n}" for n in range(6)]
     assert report.calibration is not None and len(report.calibration.mounts) == 6
@@ -335,13 +340,7 @@ def test_a_rig_is_described_and_drawn(tmp_path: Path) -> None:
 
 
 def test_two_cameras_that_see_nothing_in_common_are_no_pair(tmp_path: Path) -> None:
-    for number in range(2):
-        (tmp_path / f"cam{number}").mkdir()
-        for i in range(3):
-            grey = np.random.default_rng(i).integers(0, 255, (400, 400), dtype=np.uint8)
-            cv2.imwrite(str(tmp_path / f"cam{number}" / f"{10**18 + i * 10**8}.png"), grey)
-    shutil.copy(camera_file("drone"), tmp_path / "calibration.yaml")
-    opened = open_leniently(tmp_path)
+    opened = open_leniently(noise_of(tmp_path, "drone", 2, (400, 400)))
     report = inspect(opened)
     assert report.pair is None and report.stereo is None and "--mode" not in report.command
     assert not any(found.level == "error" for found in report.findings)
