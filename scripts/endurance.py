@@ -135,7 +135,7 @@ def _used(pid: int) -> tuple[float, float]:
         resident = int(Path(f"/proc/{each}/statm").read_text().split()[1])
         memory_mb += resident * os.sysconf("SC_PAGE_SIZE") / 2**20
         fields = Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split()
-        # Includes the time of ended children, so that a closed optimizer process still counts.
+        # Includes the time of ended children, so that a closed process still counts.
         cpu_s += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
     return memory_mb, cpu_s
 

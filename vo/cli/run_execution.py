@@ -46,7 +46,7 @@ def execute(request: RunRequest) -> None:
     with stop_signals_as_interrupts(request.output) as signals, ExitStack() as stack:
         with collection_paused():
             config = _settings(request)
-            import vo.runs.run_recording  # noqa: F401
+            import vo.runs.run_recording  # noqa: F401 - loading it collects no garbage
             from vo.cli.console import standard_error
             from vo.cli.progress import make_progress, warnings_on
         console = standard_error()

@@ -10,10 +10,11 @@ factors); Golub and Pereyra, "The Differentiation of Pseudo-Inverses", 1973 (var
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import PixelObservations
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Floats
@@ -21,9 +22,6 @@ from vo.engine.backend import block_kernels
 from vo.engine.backend.path_equations import Levels, PathEquations
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry.points import PointViews, best_points, point_views
-
-if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
-    from vo.base.config import SmoothingConfig
 
 # Standard deviations from which an observation weighs less where errors of the lens are estimated:
 # these are largest at the edges of images, where the window's threshold would hide them.

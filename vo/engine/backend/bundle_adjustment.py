@@ -9,10 +9,11 @@ Landmarks are eliminated, so that the free poses are the only variables.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import inverse, se3_log, whole_transforms
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
@@ -20,9 +21,6 @@ from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
 from vo.engine.geometry.so3 import exp_rows
-
-if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
-    from vo.base.config import SmoothingConfig
 
 
 class AdjustedWindow(NamedTuple):

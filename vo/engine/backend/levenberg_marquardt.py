@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.types import Floats
-
-if TYPE_CHECKING:
-    from vo.base.config import SmoothingConfig
 
 _INITIAL_LAMBDA, _LAMBDA_FACTOR, _MAX_TRIES = 1e-4, 10.0, 5
 

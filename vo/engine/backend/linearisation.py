@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.compiling.function import compiled
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import (
     by_world_axis,
     by_world_from_cam,
@@ -17,9 +18,6 @@ from vo.base.geometry.projection import (
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.residuals import residuals
 from vo.engine.backend.window_problem import WindowProblem
-
-if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
-    from vo.base.config import SmoothingConfig
 
 
 class Linearised(NamedTuple):

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import Bundle
@@ -21,8 +22,7 @@ from vo.engine.backend.solution import blocks_by_images
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry import sim3
 
-if TYPE_CHECKING:
-    from vo.base.config import SmoothingConfig
+_log = logging.getLogger(__name__)
 
 _HUBER = 1.345  # standard deviations from which the error of a motion weighs less
 _FIRST_DAMPING, _MAX_DAMPING = 1e-8, 1e3  # relative to the diagonal of the hessian
@@ -33,9 +33,6 @@ _MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
 _MORE_ALIKE = 2.0
 # With one camera the unit of length is that of so many first poses, to so much.
 _OF_UNIT, _UNIT_SIGMA = 7, 1e-4
-
-
-_log = logging.getLogger(__name__)
 
 
 class Motions(NamedTuple):

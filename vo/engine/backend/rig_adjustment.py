@@ -7,10 +7,11 @@ then taken to the bodies by the adjoints of the views on them: H_body = A^T H_vi
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised, se3_exp
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
@@ -18,9 +19,6 @@ from vo.engine.backend.bundle_adjustment import well_observed
 from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Ties, WindowProblem
-
-if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
-    from vo.base.config import SmoothingConfig
 
 _SCALE_SIGMA = 0.02  # of the distance of the farthest body, where nothing else gives the scale
 

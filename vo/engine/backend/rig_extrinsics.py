@@ -7,19 +7,17 @@ their own frames, that of its first view.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.types import Floats
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.residuals import with_measured_noise
 from vo.engine.backend.rig_adjustment import AdjustedRig, reduced_to_bodies
 from vo.engine.backend.window_problem import Ties, WindowProblem
-
-if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
-    from vo.base.config import SmoothingConfig
 
 
 class ExtrinsicEvidence(NamedTuple):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.geometry.quantiles import median
 from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.types import Bools, Floats
@@ -19,8 +20,7 @@ from vo.engine.backend.path_equations import Levels
 from vo.engine.backend.residuals import residuals
 from vo.engine.backend.window_problem import Ties, WindowProblem, gauge_of
 
-if TYPE_CHECKING:  # the optimizer's process does not import the settings, see `process`
-    from vo.base.config import SmoothingConfig
+if TYPE_CHECKING:  # only rigs need it
     from vo.engine.backend.rig_extrinsics import ExtrinsicEvidence
 
 # Residuals say how large the errors of this recording are (the variance of unit weight): rooms have

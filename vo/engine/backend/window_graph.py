@@ -8,17 +8,13 @@ factors of the window are added to the same graph.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import gtsam
 import numpy as np
 
+from vo.base.config import SmoothingConfig
 from vo.base.types import Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
 from vo.engine.backend.window_problem import Gauge, WindowProblem
-
-if TYPE_CHECKING:
-    from vo.base.config import SmoothingConfig
 
 # Eigenvalue of the hessian, relative to the greatest, below which a direction is not determined.
 _UNDETERMINED = 1e-13
