@@ -66,6 +66,11 @@ class MapAlignment:
         """Sentences for the user about markers that close no loops."""
         return () if self._memory is None else self._memory.markers.notes
 
+    def reads_map(self, segment: int) -> bool:
+        """Whether `begin_frame` looks at the local map, which must not change between frames."""
+        is_apart = self._memory is not None and self._memory.loops.is_apart(segment)
+        return is_apart or self._inertial is not None
+
     def begin_frame(self, index: int, segment: int, local_map: LocalMap) -> None:
         """Before a frame is tracked, after all updates of the map of its segment."""
         if self._inertial is not None:

@@ -49,6 +49,7 @@ class MapUpdater:
         self._refiner = refiner
         self._trajectory = trajectory
         self._followed = -1  # index of the newest frame that was followed
+        self._submitted_with: VerticalDisparity | None = None  # the newest window
 
     @property
     def faults(self) -> tuple[Fault, ...]:
@@ -77,6 +78,9 @@ class MapUpdater:
         if frame.corrected != self.corrected:
             self._correct_vertical_disparity(self.corrected, frame.corrected)
             self.corrected = frame.corrected
+
+    def suspend_if_ambiguous(self, frame: PreprocessedFrame) -> None:
+        """Do not use later windows for the calibration if a frame shows no rigid scene."""
         if frame.image_fixed.is_ambiguous:
             self._refiner.suspend()
 
@@ -140,8 +144,10 @@ class MapUpdater:
         self.apply()
         self._map.correct_vertical_disparity(before, now)
         self._store_moved(self._window.optimise_map())
+        self._tracker.forget_kept()
 
     def _submit(self) -> None:
+        self._submitted_with = self.vertical_disparity
         weight = self._refiner.window_weight(self._window.submitted)
         self._window.submit(calibration_weight=weight)
 
@@ -154,7 +160,7 @@ class MapUpdater:
         residual, weight = update.calibration_residual, update.window.calibration_weight
         if residual is None:
             return
-        correction = self._refiner.update(residual, weight, self.vertical_disparity)
+        correction = self._refiner.update(residual, weight, self._submitted_with)
         if correction is None:
             return
         if isinstance(correction, DisparityCorrection):

@@ -83,6 +83,12 @@ class Odometry(OdometryBase[PreprocessedFrame]):
     def _apply(self) -> None:
         self._updater.apply()
 
+    def _next_frame(self) -> None:
+        self._updater.next_frame()
+
+    def _count_early(self) -> bool:
+        return self._tracker.keep_last() and super()._count_early()
+
     def _track(self, frame: PreprocessedFrame) -> FrameResult:
         """Align a frame to the last one, track it in the map, and ask whether that needs it."""
         self._updater.follow(frame)
@@ -93,7 +99,8 @@ class Odometry(OdometryBase[PreprocessedFrame]):
         if self._recovery.state is State.TRACKING:
             # The window is optimised at the same time: the result does not depend on it.
             last_from_cam = self._tracker.align_to_last(frame)
-        self._updater.next_frame()
+        self._count_frame()
+        self._updater.suspend_if_ambiguous(frame)
         if self._recovery.state is State.STARTING:
             return self._start(frame)
         frame, tracked = self._recovery.track(frame, last_from_cam)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -24,6 +25,8 @@ from vo.engine.trajectory.map_frame import Anchor
 from vo.engine.trajectory.store import TrajectoryStore
 
 FrameT = TypeVar("FrameT", bound=AnyFrame)
+
+_REST_S = 2e-3  # between two frames, from which a program waits for the second
 
 
 class Preprocessor(Protocol[FrameT]):
@@ -77,6 +80,9 @@ class OdometryBase(ABC, Generic[FrameT]):
         self._result: FrameResult | None = None  # of the newest frame
         self._anchor: Anchor | None = None  # in the map frame, when the newest frame was tracked
         self._has_moved = False  # whether the newest frame has added or moved keyframes
+        self._is_counted = False  # whether `_next_frame` was called for the next frame
+        self._updated_s: float | None = None  # when `update_map` ended
+        self._rests = False  # whether there was time between the newest two frames
 
     def track(self, frame: Frame) -> Estimate:
         """Process the next frame."""
@@ -91,12 +97,25 @@ class OdometryBase(ABC, Generic[FrameT]):
         """The pose of the next frame, at once.
 
         The rest is left to `update_map`; keyframes that it adds or moves are in the next estimate.
+        Where there is time between frames, nothing else runs beside this.
         """
+        now, since = time.perf_counter(), self._updated_s
+        self._rests = since is not None and now - since > _REST_S
         self._locate(self._preprocessor.submit(frame))
         return self._estimate()
 
     def update_map(self) -> None:
-        """Make the newest frame a keyframe if the map needs one; in any thread, before the next."""
+        """Make the newest frame a keyframe if the map needs one; in any thread, before the next.
+
+        What is due with the next frame is applied, too, where that changes no result.
+        """
+        self._extend_map()
+        if not self._is_counted and not self.map_alignment.reads_map(self._recovery.segment):
+            self._is_counted = self._count_early()
+        self._updated_s = time.perf_counter()
+
+    def _extend_map(self) -> None:
+        """Make the newest frame a keyframe if the map needs one."""
         result = self._result
         if result is None or not result.is_keyframe or result.keyframe is not None:
             return
@@ -109,7 +128,7 @@ class OdometryBase(ABC, Generic[FrameT]):
 
     def finish(self) -> Mapping[str, float]:
         """Apply the last results of the optimizer; the time by stage that it took."""
-        self.update_map()
+        self._extend_map()
         self._apply()
         self.map_alignment.finish(self._map)
         return self.stopwatch.take()
@@ -147,6 +166,21 @@ class OdometryBase(ABC, Generic[FrameT]):
     def _apply(self) -> None:
         """Apply the pending result of the optimizer."""
 
+    @abstractmethod
+    def _next_frame(self) -> None:
+        """Count a frame, and apply the result of the optimizer that is due with it."""
+
+    def _count_early(self) -> bool:
+        """Call `_next_frame` before the next frame, if its result does not depend on that."""
+        self._next_frame()
+        return True
+
+    def _count_frame(self) -> None:
+        """Call `_next_frame` for the frame that is tracked, unless `update_map` did."""
+        if not self._is_counted:
+            self._next_frame()
+        self._is_counted = False
+
     @property
     def _newest(self) -> FrameResult:
         if self._result is None:
@@ -165,25 +199,26 @@ class OdometryBase(ABC, Generic[FrameT]):
 
     def _process(self, pending: LazyFuture[FrameT]) -> Estimate:
         self._locate(pending)
-        self.update_map()
+        self._extend_map()
         return self._estimate()
 
     def _locate(self, pending: LazyFuture[FrameT]) -> None:
         """Track a frame, and others again where it shows that they were misled or lost."""
         frame = self._preprocess(pending)
-        self.update_map()
+        self._extend_map()
         self.map_alignment.begin_frame(frame.index, self._recovery.segment, self._map)
         for each in self._recovery.frames(frame):
-            self.update_map()
+            self._extend_map()
             self._result = self._track(each)
         self._anchor = self._trajectory.store.anchor(self._recovery.segment)
         is_lost = self._recovery.state is not State.TRACKING
-        self._preprocessor.is_eager = is_lost or self._expects_all
+        self._preprocessor.is_eager = is_lost or (self._expects_all and not self._rests)
 
     @timed("features")
     def _preprocess(self, pending: LazyFuture[FrameT]) -> FrameT:
         frame = pending.result()
-        if self._expects_keyframe or self._recovery.state is not State.TRACKING:
+        is_expected = self._expects_keyframe and not self._rests
+        if is_expected or self._recovery.state is not State.TRACKING:
             frame.start_features()
         return frame
 

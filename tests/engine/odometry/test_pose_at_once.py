@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -10,6 +11,7 @@ import pytest
 from recorded_walk import CONFIG, Recording, Run
 
 from vo.base.types import Estimate, Frame, Rig
+from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.odometry import Odometry
 
 
@@ -73,3 +75,39 @@ def test_frames_without_an_update_of_the_map_are_located_all_the_same(
         assert expected.world_from_cam0 is not None
         np.testing.assert_array_equal(estimate.world_from_cam0, expected.world_from_cam0)
     odometry.close()
+
+
+def test_windows_that_are_due_are_applied_before_the_frame(recording: Recording) -> None:
+    odometry, moved_between = Odometry(recording.rig, CONFIG), 0
+    for frame in recording.frames:
+        before = [k.world_from_cam0 for k in odometry.trajectory.keyframes()]
+        estimate = odometry.locate(frame)
+        at_pose = [k.world_from_cam0 for k in odometry.trajectory.keyframes()]
+        if len(before) == len(at_pose):
+            np.testing.assert_array_equal(at_pose, before)
+        odometry.update_map()
+        after = [k.world_from_cam0 for k in odometry.trajectory.keyframes()]
+        if not estimate.is_keyframe:
+            moved_between += not np.array_equal(after, at_pose)
+    odometry.close()
+    assert moved_between >= 2
+
+
+def test_features_wait_for_the_pose_where_there_is_time_between_frames(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    odometry, started = Odometry(recording.rig, CONFIG), []
+    start = PreprocessedFrame.start_features
+    monkeypatch.setattr(
+        PreprocessedFrame, "start_features", lambda self: (started.append(self.index), start(self))
+    )
+    early, keyframes = [], 0
+    for frame in recording.frames[:12]:
+        odometry.locate(frame)
+        early.append(frame.index in started)
+        odometry.update_map()
+        keyframes += started.count(frame.index) > early[-1]
+        time.sleep(0.01)
+    odometry.close()
+    assert early[0] and not any(early[2:])
+    assert keyframes >= 2

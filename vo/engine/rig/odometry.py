@@ -159,11 +159,14 @@ class RigOdometry(OdometryBase[RigFrame]):
             )
         return tuple(found[1:])
 
+    def _next_frame(self) -> None:
+        if self._window.next_frame():
+            self._apply()
+
     def _track(self, frame: RigFrame) -> FrameResult:
         """Track a frame in the map, or start a map with it."""
         self._trajectory.reach(frame.views[0])
-        if self._window.next_frame():
-            self._apply()
+        self._count_frame()
         before = None if self._tracker.last is None else self._tracker.last.in_view(0)
         if self._frozen.is_frozen(frame.views[self._best.number], self._recovery.segment):
             self._newest_rig = frame, None

@@ -7,6 +7,7 @@ anywhere, or from an essential matrix. It is refined on the patches of all landm
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from vo.engine.mapping.tracked_frame import LastFrame, TrackedFrame, last_frame
 from vo.engine.tracking.essential_matrix import EssentialMatrixFallback
 from vo.engine.tracking.focal_change import FocalChangeDetector
 from vo.engine.tracking.landmark_alignment import KltAligner, LandmarkAligner
-from vo.engine.tracking.motion_model import MotionModel, PosePrior
+from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel, PosePrior
 from vo.engine.tracking.pose_estimation import PoseEstimator
 from vo.engine.tracking.pose_residuals import pose_residuals
 from vo.engine.tracking.rolling_shutter import RollingShutter
@@ -90,6 +91,7 @@ class Tracker:
         self._focal_change = FocalChangeDetector()
         self._torn_images = TornImageDetector(local_map.rig.height)
         self._updates = 0
+        self._kept: tuple[LastFrame | None, MotionModel, LocalMap] | None = None
         self._essential_matrix = EssentialMatrixFallback(local_map, frontend.matcher, start)
 
     @property
@@ -151,6 +153,19 @@ class Tracker:
         """The pose at a later time than the newest frame; None if it is unknown."""
         return None if self.last is None else self._motion.ahead(stamp_ns)
 
+    def keep_last(self) -> bool:
+        """Keep what `align_to_last` uses as it is now; whether the map may change until then."""
+        if type(self._motion) is not ConstantVelocity or self._map.rig.readout_s > 0.0:
+            return False
+        seen = copy(self._map)
+        seen.xyz = seen.xyz.copy()
+        self._kept = self.last, copy(self._motion), seen
+        return True
+
+    def forget_kept(self) -> None:
+        """Align to the last frame in the map as it is then."""
+        self._kept = None
+
     @timed("match")
     def align_to_last(self, frame: PreprocessedFrame) -> Floats | None:
         """last_from_cam (4, 4) by sparse image alignment; None if it fails.
@@ -158,13 +173,14 @@ class Tracker:
         It depends on the landmarks' positions relative to the last frame only, and stays valid when
         optimisation moves both in the world.
         """
-        if self.last is None:
+        last, motion, seen = self.last, self._motion, self._map
+        if last is None:
             return None
-        predicted = self._motion.predict(frame.stamp_ns)
+        if self._kept is not None and self._kept[0] is last:
+            _, motion, seen = self._kept
+        predicted = motion.predict(frame.stamp_ns)
         velocity = self._shutter.velocity(frame.stamp_ns, predicted)
-        return sparse_image_alignment(
-            self._map, self.last, self._motion.last, frame, predicted, velocity
-        )
+        return sparse_image_alignment(seen, last, motion.last, frame, predicted, velocity)
 
     @timed("match")
     def track(
