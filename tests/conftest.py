@@ -17,6 +17,8 @@ from vo.base.compiling.processor import use_common_instructions
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# Before numpy is loaded, as the program does: other threads would only wait, on a busy core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # FFmpeg in OpenCV reads it once, with the first video of the process: as the package sets it.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 # A busy machine is no fault of a test.
