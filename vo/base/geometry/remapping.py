@@ -6,19 +6,24 @@ few: a shuffle of bytes takes them from there.
 
 from __future__ import annotations
 
+from functools import reduce
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from vo.base.compiling.function import Intrinsic, compiled
 from vo.base.compiling.processor import has_common_instructions
 from vo.base.geometry.rectification_maps import Maps
-from vo.base.types import Bytes, Ints
+from vo.base.types import Bools, Bytes, Ints
+
+Ints16 = NDArray[np.int16]
 
 _blend = Intrinsic("vo.base.geometry.remap_intrinsics", "blend_eight")
 _SIDE = 8  # pixels at once
 _FROM = 16  # pixels of a row that they are taken from
 _OPENCV_MAX = 2**15 - 1  # rows of its maps
-_PREPARED_AFTER = 10  # images; preparing takes as long as is saved with ten
+_PREPARED_AFTER = 5  # images; preparing takes as long as is saved with five
 
 
 class Remapping:
@@ -50,23 +55,23 @@ class _Blocks:
     def __init__(self, maps: Maps, shape: tuple[int, ...]) -> None:
         (height, width), (whole, self._part) = shape, maps
         rows, columns = self._part.shape
-        begin = np.arange(0, columns - _SIDE + 1, _SIDE)
-        at = whole[:, begin[:, None] + np.arange(_SIDE)]
-        first, last = at.min(axis=2).astype(np.int64), at.max(axis=2)
-        inside = (first >= 0) & (last < (width - 1, height - 1))
-        first = np.minimum(first, (width - _FROM, height - 3))
-        fits = (inside & (last - first <= (_FROM - 2, 1))).all(axis=2)
-        place = np.arange(rows)[:, None] * columns + begin
+        blocks = columns // _SIDE
+        # Pixel by pixel of all blocks: many axes of 8 or 2 elements are slow.
+        pixels = [slice(k, k + blocks * _SIDE, _SIDE) for k in range(_SIDE)]
+        u, v = np.ascontiguousarray(np.moveaxis(whole, 2, 0))
+        first_u, is_block_u = _begins(u, pixels, width, _FROM)
+        first_v, is_block_v = _begins(v, pixels, height, 3)
+        is_block = is_block_u & is_block_v
+        place = np.arange(rows)[:, None] * columns + _SIDE * np.arange(blocks)
         self.shape = shape
-        self._source = (first[..., 1] * width + first[..., 0])[fits]
-        self._place: Ints = place[fits]
-        off = (at - first[:, :, None]).astype(np.uint8)
+        self._source = (first_v.astype(np.int64) * width + first_u)[is_block]
+        self._place: Ints = place[is_block]
         # Bytes 0 to 14 from the first of a row, and 16 more in the second row.
         self._code: Bytes = np.zeros((rows, columns), np.uint8)
-        self._code[:, begin[:, None] + np.arange(_SIDE)] = off[..., 0] + _FROM * off[..., 1]
-        is_left = ((whole >= -1) & (whole < (width, height))).all(axis=2).ravel()
-        for k in range(_SIDE):
-            is_left[self._place + k] = False
+        is_left = (u >= -1) & (u < width) & (v >= -1) & (v < height)
+        for pixel in pixels:
+            self._code[:, pixel] = u[:, pixel] - first_u + _FROM * (v[:, pixel] - first_v)
+            is_left[:, pixel] &= ~is_block
         self.rest = np.flatnonzero(is_left)
         self._whole_of_rest = whole.reshape(-1, 1, 2)[self.rest]
         self._part_of_rest = self._part.reshape(-1, 1)[self.rest]
@@ -81,6 +86,17 @@ class _Blocks:
             maps = self._whole_of_rest, self._part_of_rest
             flat[self.rest] = cv2.remap(image, *maps, cv2.INTER_LINEAR)[:, 0]
         return result
+
+
+def _begins(at: Ints16, pixels: list[slice], size: int, count: int) -> tuple[Ints16, Bools]:
+    """First of `count` recorded pixels in a row or column, by block, and whether it lies in them.
+
+    `at`: their numbers (H, W), of `size`.
+    """
+    least = reduce(np.minimum, [at[:, pixel] for pixel in pixels])
+    last = reduce(np.maximum, [at[:, pixel] for pixel in pixels])
+    first = np.minimum(least, np.int16(min(size - count, _OPENCV_MAX)))
+    return first, (least >= 0) & (last < size - 1) & (last - first <= count - 2)
 
 
 def _is_usable(image: Bytes, maps: Maps) -> bool:
