@@ -8,6 +8,7 @@ Landmarks are eliminated, so that the free poses are the only variables.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,9 +18,9 @@ from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import inverse, se3_log, whole_transforms
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
-from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
+from vo.engine.geometry.levenberg_marquardt import Law, dense_steps, minimise
 from vo.engine.geometry.so3 import exp_rows
 
 
@@ -77,21 +78,21 @@ class _Window:
 
     def optimise(self, config: SmoothingConfig) -> Floats:
         """Minimise by Levenberg and Marquardt: (K, 4, 4) poses, the held ones unchanged."""
-        return minimise(self, self._start, config, damping=np.ones(6 * len(self._free)))
+        return minimise(self, self._start, Law(config.iterations, config.relative_error_tolerance))
 
     def cost(self, state: Floats) -> float:
         """Half the squared errors."""
         off = self._off(state)
         return self._bundle.cost(state) + 0.5 * float(off @ (self._information * off))
 
-    def equations(self, state: Floats) -> tuple[Floats, Floats]:
-        """Hessian and gradient of the cost."""
+    def steps(self, state: Floats) -> Callable[[float], Floats]:
+        """By all damping alike."""
         hessian, gradient, _ = self._bundle.normal_equations(state)
         if self._scaled is not None:
             at = 6 * int(np.searchsorted(self._free, self._scaled)) + np.arange(6)
             hessian[at, at] += self._information
             gradient[at] += self._information * self._off(state)
-        return hessian, gradient
+        return dense_steps(hessian, gradient, np.ones(len(gradient)))
 
     def moved(self, state: Floats, step: Floats) -> Floats:
         """The poses after a step, of which rotation and translation are apart."""

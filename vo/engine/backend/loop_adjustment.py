@@ -7,6 +7,7 @@ The points are eliminated as in windows (`bundle`). What is left are normal equa
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from vo.engine.backend.residuals import residuals
 from vo.engine.backend.solution import blocks_by_images
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry import sim3
+from vo.engine.geometry.levenberg_marquardt import Law, minimise
 
 _log = logging.getLogger(__name__)
 
@@ -78,24 +80,11 @@ def adjust_path(
     if levels.width > _MAX_WIDTH:
         _log.warning("a path of which %d poses see the same is not adjusted", levels.width)
         return None
-    bundle, edges = Bundle(problem, usable, config), _Edges(motions)
-    poses = problem.world_from_cam
-    cost = bundle.cost(poses) + edges.cost(poses)
-    damping = least = _FIRST_DAMPING * min(min_decrease / _MIN_DECREASE, 1.0)
-    for _ in range(_MAX_STEPS):
-        equations, gradient = bundle.path_equations(poses, levels)
-        edges.add_to(equations, gradient, poses)
-        before = cost
-        while damping <= _MAX_DAMPING:
-            moved = _moved(poses, _step(equations, gradient, damping))
-            new = bundle.cost(moved) + edges.cost(moved)
-            if new < cost:
-                poses, cost, damping = moved, new, max(0.1 * damping, least)
-                break
-            damping *= 10.0
-        if before - cost <= min_decrease * before:
-            break
-    points = bundle.points_for(poses)
+    path, damping = _Path(problem, usable, config, motions, levels), _FIRST_DAMPING
+    damping *= min(min_decrease / _MIN_DECREASE, 1.0)
+    law = Law(_MAX_STEPS, min_decrease, damping, damping, _MAX_DAMPING, _MAX_STEPS)
+    poses = minimise(path, problem.world_from_cam, law)
+    points = path.bundle.points_for(poses)
     if not (np.isfinite(poses).all() and np.isfinite(points[usable]).all()):
         return None
     return AdjustedPath(poses[levels.place], points)
@@ -218,18 +207,34 @@ class _Edges:
         return np.asarray(np.einsum("nij,nj->ni", self._whitening, error))
 
 
-def _step(equations: PathEquations, gradient: Floats, damping: float) -> Floats:
-    """(K - 1, 6) tangents of the poses after the first; 0 where they are not determined."""
-    try:
-        return equations.solve(-gradient[6:, None], damping).reshape(-1, 6)
-    except np.linalg.LinAlgError:
-        return np.zeros((len(gradient) // 6 - 1, 6))
+class _Path:
+    """All poses but the first as variables."""
 
+    def __init__(
+        self,
+        problem: WindowProblem,
+        usable: Bools,
+        config: SmoothingConfig,
+        motions: Motions,
+        levels: Levels,
+    ) -> None:
+        self.bundle, self._edges = Bundle(problem, usable, config), _Edges(motions)
+        self._levels = levels
 
-def _moved(poses: Floats, step: Floats) -> Floats:
-    tangent = np.zeros((len(step), 7))
-    tangent[:, :6] = step
-    result = poses.copy()
-    for k, motion in enumerate(sim3.retract(tangent), start=1):
-        result[k] = orthonormalised(poses[k] @ motion)
-    return result
+    def cost(self, state: Floats) -> float:
+        """Half the robust sum of squares."""
+        return self.bundle.cost(state) + self._edges.cost(state)
+
+    def steps(self, state: Floats) -> Callable[[float], Floats]:
+        """Damped by the diagonal of the hessian."""
+        equations, gradient = self.bundle.path_equations(state, self._levels)
+        self._edges.add_to(equations, gradient, state)
+        return lambda damping: equations.solve(-gradient[6:, None], damping).reshape(-1, 6)
+
+    def moved(self, state: Floats, step: Floats) -> Floats:
+        """The poses after a step (K - 1, 6)."""
+        result, tangent = state.copy(), np.zeros((len(step), 7))
+        tangent[:, :6] = step
+        for k, motion in enumerate(sim3.retract(tangent), start=1):
+            result[k] = orthonormalised(state[k] @ motion)
+        return result

@@ -6,6 +6,7 @@ then taken to the bodies by the adjoints of the views on them: H_body = A^T H_vi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -16,9 +17,9 @@ from vo.base.geometry.transforms import adjoint, inverse, orthonormalised, se3_e
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
 from vo.engine.backend.bundle_adjustment import well_observed
-from vo.engine.backend.levenberg_marquardt import minimise
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import Ties, WindowProblem
+from vo.engine.geometry.levenberg_marquardt import Law, dense_steps, minimise
 
 _SCALE_SIGMA = 0.02  # of the distance of the farthest body, where nothing else gives the scale
 
@@ -115,18 +116,19 @@ class _RigWindow:
 
     def optimise(self) -> _State:
         """Minimise by Levenberg and Marquardt."""
-        return minimise(self, _State(self._start.copy(), 0.0), self._config)
+        law = Law(self._config.iterations, self._config.relative_error_tolerance)
+        return minimise(self, _State(self._start.copy(), 0.0), law)
 
     def cost(self, state: _State) -> float:
         """Half the squared errors."""
         by_prior = 0.5 * float(self._prior @ self._off(state) ** 2)
         return self.bundle.cost(self.poses(state)) + by_prior
 
-    def equations(self, state: _State) -> tuple[Floats, Floats]:
-        """Hessian and gradient of the cost."""
+    def steps(self, state: _State) -> Callable[[float], Floats]:
+        """Damped by the diagonal of the hessian."""
         hessian, gradient = self._reduced(self.bundle.normal_equations(self.poses(state)))
         hessian[np.diag_indices_from(hessian)] += self._prior
-        return hessian, gradient + self._prior * self._off(state)
+        return dense_steps(hessian, gradient + self._prior * self._off(state))
 
     def moved(self, state: _State, step: Floats) -> _State:
         """The state after a step."""
