@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from types import SimpleNamespace
 from typing import Any
 
@@ -46,7 +45,6 @@ def test_a_gap_joins_the_keyframes_beside_it_by_their_true_motion() -> None:
     gap = int(_STAMPS[1]) + 100_000_000, int(_STAMPS[2])
     (factor,) = _source(gap).factors(_keyframes())
     assert isinstance(factor, MotionFactor) and (factor.first, factor.second) == (1, 2)
-    factor = pickle.loads(pickle.dumps(factor))  # it goes to another process
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     true = true_poses(_STAMPS)
     for k, pose in enumerate(true):

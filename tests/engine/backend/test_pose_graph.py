@@ -254,7 +254,7 @@ def test_unknown_covariances_do_no_harm() -> None:
     assert case.error_m(registered) < case.odometry_error_m()
 
 
-def test_the_same_bits_come_out_again_and_of_another_process() -> None:
+def test_the_same_bits_come_out_again_and_of_another_thread() -> None:
     case = laps(6, false_ratio=0.3, groups=1)
     expected = _in_graph(case, threads=1)
     for threads in (1, 2, 2):

@@ -13,7 +13,7 @@ from vo.engine.places.records import Loop
 
 @dataclass(frozen=True, eq=False)
 class GraphProblem:
-    """Stored keyframes and loops between them, as plain arrays for another process.
+    """Stored keyframes and loops between them, as plain arrays.
 
     Rows are keyframes. Those of a chain follow each other, in order of their keys.
 

@@ -19,6 +19,7 @@ from vo.engine.backend.chain_motion import USUAL, ChainMotions
 from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.loop_edges import LoopEdges, loop_edges
+from vo.engine.backend.robust_graph import keep_true_loops, optimise
 from vo.engine.geometry import sim3
 from vo.engine.places.records import PlaceKey, RegisteredKeyframes
 
@@ -26,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
-    """Place all keyframes in worlds, in this process.
+    """Place all keyframes in worlds.
 
     Loops must agree with odometry, or, between chains, with each other; across doubted motions they
     may contradict odometry as well. Of those that do the true ones are found by graduated
@@ -39,9 +40,9 @@ def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
     loops = loop_edges(problem)
     try:
         return _solved(problem, loops)
-    except RuntimeError as error:  # GTSAM's, of a system without a solution
+    except np.linalg.LinAlgError as error:
         _log.warning("the pose graph has no solution, loops are left out: %s", error)
-        return unplaced(problem)
+        return _unplaced(problem)
 
 
 def _solved(problem: GraphProblem, loops: LoopEdges) -> RegisteredKeyframes:
@@ -113,8 +114,6 @@ def _consistent_loops(
         reduced = reduce_graph(problem, motions, chosen)
         start = place_chains(problem, chosen, motions)[reduced.knots]
         gauge = _gauge(problem, worlds_of(problem, chosen), reduced)
-        from vo.engine.backend.robust_graph import keep_true_loops  # importing GTSAM takes long
-
         kept[kept] = keep_true_loops(start, gauge, reduced.odometry, reduced.loops)
         strong = without_weak_merges(problem, loops, kept)
         if (strong == kept).all():
@@ -131,8 +130,6 @@ def _optimised(
         first = np.flatnonzero(np.r_[True, world[1:] != world[:-1]])
         start_of = np.repeat(first, np.diff(np.r_[first, len(world)]))
         return motions.odom_from_cam.copy(), motions.covariance(start_of, np.arange(len(world)))
-    from vo.engine.backend.robust_graph import optimise
-
     reduced = reduce_graph(problem, motions, loops)
     start = place_chains(problem, loops, motions)[reduced.knots]
     gauge = _gauge(problem, world, reduced)
@@ -153,7 +150,7 @@ def _gauge(problem: GraphProblem, world: Ints, reduced: ReducedGraph) -> Ints:
     return np.asarray(np.flatnonzero(of_first)[first])
 
 
-def unplaced(problem: GraphProblem) -> RegisteredKeyframes:
+def _unplaced(problem: GraphProblem) -> RegisteredKeyframes:
     """All keyframes where odometry has them, and no loop accepted."""
     count = len(problem.keys)
     return RegisteredKeyframes(

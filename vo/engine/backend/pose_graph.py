@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse
+from vo.base.scheduling import give_way
 from vo.base.types import Floats
-from vo.engine.backend.process import SolverProcess
 from vo.engine.places.records import InertialPose, Loop, PathKeyframe, PlaceKey, RegisteredKeyframes
 
 if TYPE_CHECKING:  # imported with the first graph: it takes 15 ms
     from vo.engine.backend.graph_problem import GraphProblem
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -41,19 +40,18 @@ class PoseGraph:
     depend on the load of the machine.
 
     Args:
-        threads: with more than one, graphs are optimised in another process, which is started by
-            the first `submit` with loops.
+        threads: with more than one, graphs with loops are optimised in another thread.
     """
 
     def __init__(self, threads: int = 1) -> None:
         # Later graphs place the keyframes beside a motion anew, and less accurately.
         self._confirmed: set[PlaceKey] = set()  # by images in an earlier graph
-        self._threads = threads
+        thread = partial(ThreadPoolExecutor, 1, thread_name_prefix="graph", initializer=give_way)
+        self._thread = thread() if threads > 1 else None
         self._nodes: dict[PlaceKey, _Node] = {}
         self._first_segment = 0  # number of the chain of the run's segment 0
-        self._process: SolverProcess[GraphProblem, RegisteredKeyframes] | None = None
         self._submitted: GraphProblem | None = None
-        self._is_in_process = False
+        self._solved: Callable[[], RegisteredKeyframes]  # that problem
 
     def add_keyframe(self, keyframe: PathKeyframe) -> None:
         """Add a keyframe of the run, after all before it in its segment."""
@@ -121,19 +119,11 @@ class PoseGraph:
         self._start(self._problem(loops, inertial or {}, doubted))
 
     def _start(self, problem: GraphProblem) -> None:
-        self._submitted = problem
-        self._is_in_process = self._threads > 1 and len(problem.loops) > 0
-        if not self._is_in_process:
-            return
-        from vo.engine.backend.graph_solution import optimise_graph, unplaced
+        from vo.engine.backend.graph_solution import optimise_graph
 
-        try:
-            if self._process is None:
-                self._process = SolverProcess(optimise_graph, unplaced)
-            self._process.submit(problem)
-        except OSError as error:
-            _log.warning("optimising in this process, no other can be started: %s", error)
-            self._threads, self._is_in_process = 1, False
+        self._submitted, self._solved = problem, partial(optimise_graph, problem)
+        if self._thread is not None and problem.loops:
+            self._solved = self._thread.submit(self._solved).result
 
     def result(
         self, unconfirmed: Callable[[RegisteredKeyframes], Sequence[PlaceKey]] = lambda _: ()
@@ -153,27 +143,20 @@ class PoseGraph:
         if self._submitted is None:
             raise RuntimeError("no graph was submitted")
         problem = self._submitted
-        registered = self._solved(problem)
+        registered = self._solved()
         while refused := set(unconfirmed(registered) if registered.wrong else ()) - self._confirmed:
             trusted = [PlaceKey(*key) in refused for key in problem.keys.tolist()]
             problem = replace(problem, is_doubted=problem.is_doubted & ~np.array(trusted))
             self._start(problem)
-            registered = self._solved(problem)
+            registered = self._solved()
         self._confirmed.update(registered.wrong)
         self._submitted = None
         return registered
 
-    def _solved(self, problem: GraphProblem) -> RegisteredKeyframes:
-        if self._is_in_process and self._process is not None:
-            return self._process.result()
-        from vo.engine.backend.graph_solution import optimise_graph
-
-        return optimise_graph(problem)
-
     def close(self) -> None:
-        """End the other process."""
-        if self._process is not None:
-            self._process.close()
+        """End the other thread."""
+        if self._thread is not None:
+            self._thread.shutdown(cancel_futures=True)
 
     def _ordered(self) -> list[_Node]:
         return sorted(self._nodes.values(), key=_order)

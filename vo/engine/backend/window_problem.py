@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 class WindowFactor(Protocol):
     """A factor between the poses of a window, and perhaps further states, beside the observations.
 
-    It is pickled, because windows are optimised in another process.
+    Nothing may change it, because windows are optimised in another thread.
     """
 
     def add_to(

@@ -68,7 +68,7 @@ def _solved(before, after, coupling, gradient_before, gradient_after):  # type: 
         if not invert_into(whole, scale, lower, covariance[k]):
             return False, step, covariance, reduced, right
         if k + 1 < count:
-            _add_product(covariance[k], coupling[k], gains[k])
+            add_product(covariance[k], coupling[k], gains[k])
             for i in range(width):
                 for m in range(width):
                     for j in range(width):
@@ -85,13 +85,13 @@ def _solved(before, after, coupling, gradient_before, gradient_after):  # type: 
                     step[k, i] -= gains[k, i, j] * step[k + 1, j]
                     carried[i, j] = 0.0
                     whole[j, i] = gains[k, i, j]
-            _add_product(gains[k], covariance[k + 1], carried)
-            _add_product(carried, whole, covariance[k])
+            add_product(gains[k], covariance[k + 1], carried)
+            add_product(carried, whole, covariance[k])
     return True, step, covariance, reduced, right
 
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
-def _add_product(a, b, result):  # type: ignore[no-untyped-def]
+def add_product(a, b, result):  # type: ignore[no-untyped-def]
     """Add the product of two square matrices."""
     for i in range(len(a)):
         for k in range(len(a)):
