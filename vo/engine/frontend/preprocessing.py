@@ -286,6 +286,7 @@ class FramePreprocessor:
         right = self._extract_right(image1)
         is_corrected, is_checked = correction.needs_next_pair(), _compare(pair_check, frame)
         if is_corrected or is_checked:
+            right.start()
             # Extracted here: the thread of the left images, which this is, cannot wait for itself.
             left = finished(self._extract_left(image0, mask))
             pair = View(image0, left.result()), View(image1, right.result())
