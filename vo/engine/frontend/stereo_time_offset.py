@@ -45,7 +45,6 @@ class _Pair(NamedTuple):
     """Points of a pair.
 
     Attributes:
-        left: (N, 2) pixels in the left image.
         terms: (N, 5) derivatives of rows by the errors of the right camera's calibration.
         rows_px: (N,) row in the right image minus row in the left.
         speed_before: (N,) vertical speed in px/ms since the image before, NaN where unknown.
@@ -53,7 +52,6 @@ class _Pair(NamedTuple):
         speed_after: (N,) the same until the next image.
     """
 
-    left: Floats
     terms: Floats
     rows_px: Floats
     speed_before: Floats
@@ -78,7 +76,8 @@ class TimeOffsetEstimator:
         self.offset_ms: float | None = None
         self._rig = rig
         self._images: list[_LeftImage] = []  # the newest two
-        self._pending: _Pair | None = None  # the newest pair, until the next image
+        # Points of the newest pair, and the left image before it, until the next image.
+        self._pending: tuple[PairPoints, _LeftImage] | None = None
         self._pairs: list[_Pair] = []
 
     @property
@@ -90,14 +89,23 @@ class TimeOffsetEstimator:
 
     def next_image(self, stamp_ns: int, left: Bytes) -> None:
         """Add a rectified left image (H, W); to be called for every frame."""
-        pair, self._pending = self._pending, None
+        pending, self._pending = self._pending, None
         self._images = [*self._images[-1:], _LeftImage(stamp_ns, left)]
-        if pair is None or self._interval_ms() <= 0.0:
+        if pending is None or self._interval_ms() <= 0.0:
             return
-        of_pair, image = self._images
-        moved = _moved(of_pair.image, image.image, pair.left)
-        speed = (moved[:, 1] - pair.left[:, 1]) / self._interval_ms()
-        self._pairs = [*self._pairs, pair._replace(speed_after=speed)][-_MAX_PAIRS:]
+        (points, before), rig = pending, self._rig
+        of_pair, after = self._images
+        x = (points.right[:, 0] - rig.cx) / rig.fx
+        y = (points.left[:, 1] - rig.cy) / rig.fy
+        interval_ms = _interval_ms(before, of_pair)
+        moved = _moved(of_pair.image, before.image, points.left)
+        speed_before = (points.left[:, 1] - moved[:, 1]) / interval_ms
+        moved = _moved(of_pair.image, after.image, points.left)
+        speed_after = (moved[:, 1] - points.left[:, 1]) / self._interval_ms()
+        pair = _Pair(
+            vertical_disparity_terms(x, y), points.rows_px, speed_before, interval_ms, speed_after
+        )
+        self._pairs = [*self._pairs, pair][-_MAX_PAIRS:]
         self._estimate()
 
     def add(self, stamp_ns: int, points: PairPoints) -> None:
@@ -106,23 +114,14 @@ class TimeOffsetEstimator:
         if step == 0 or self._interval_ms() <= 0.0 or self._images[-1].stamp_ns != stamp_ns:
             return
         points = PairPoints(points.left[::step], points.right[::step])
-        if len(points.left) < _MIN_POINTS:
-            return
-        before, image = self._images
-        moved = _moved(image.image, before.image, points.left)
-        rig, interval_ms = self._rig, self._interval_ms()
-        x = (points.right[:, 0] - rig.cx) / rig.fx
-        y = (points.left[:, 1] - rig.cy) / rig.fy
-        speed = (points.left[:, 1] - moved[:, 1]) / interval_ms
-        terms = vertical_disparity_terms(x, y)
-        self._pending = _Pair(points.left, terms, points.rows_px, speed, interval_ms, speed)
+        if len(points.left) >= _MIN_POINTS:
+            self._pending = points, self._images[0]
 
     def _interval_ms(self) -> float:
         """Time between the newest two left images, 0 before the second."""
         if len(self._images) < 2:
             return 0.0
-        before, image = self._images
-        return 1e-6 * (image.stamp_ns - before.stamp_ns)
+        return _interval_ms(*self._images)
 
     def _estimate(self) -> None:
         if len(self._pairs) < _MIN_PAIRS:
@@ -169,6 +168,10 @@ class TimeOffsetEstimator:
                 break
         variance = float(np.linalg.inv(information)[-1, -1])
         return _Fit(float(found[-1]), float(np.sqrt(variance)), sigma)
+
+
+def _interval_ms(before: _LeftImage, image: _LeftImage) -> float:
+    return 1e-6 * (image.stamp_ns - before.stamp_ns)
 
 
 def _moved(image: Bytes, other: Bytes, xy: Floats) -> Floats:
