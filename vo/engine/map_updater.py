@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.base.faults import Fault
+from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.records.calibration_errors import CalibrationErrors, LensError
 from vo.base.stopwatch import Stopwatch, timed
@@ -18,6 +19,8 @@ from vo.engine.mapping.local_mapper import LocalMapper
 from vo.engine.refinement.calibration_refiner import CalibrationRefiner, DisparityCorrection
 from vo.engine.tracking.tracker import Tracker
 from vo.engine.trajectory.builder import TrajectoryBuilder
+
+_KnownErrors = tuple[RectifiedRig, VerticalDisparity, CalibrationErrors | None]
 
 
 class MapUpdater:
@@ -48,6 +51,7 @@ class MapUpdater:
         self._window = window
         self._refiner = refiner
         self._trajectory = trajectory
+        self._errors: _KnownErrors = local_map.rig, self.corrected, None
         self._followed = -1  # index of the newest frame that was followed
         self._submitted_with: VerticalDisparity | None = None  # the newest window
 
@@ -59,6 +63,13 @@ class MapUpdater:
     @property
     def calibration_errors(self) -> CalibrationErrors:
         """Errors of the calibration that were found and are corrected."""
+        rig, corrected, errors = self._errors
+        if errors is None or rig is not self._map.rig or corrected is not self.corrected:
+            errors = self._errors_now()
+            self._errors = self._map.rig, self.corrected, errors
+        return errors
+
+    def _errors_now(self) -> CalibrationErrors:
         rig = self._map.rig
         k1 = rig.k1_error
         return CalibrationErrors(

@@ -42,6 +42,7 @@ class Bundle:
     The tangent of a pose is (rx ry rz tx ty tz) in the camera's own frame.
 
     Attributes:
+        views: the observations, by point, then keyframe.
         calibration_size: number of parameters of the calibration residual.
         check_size: number of further parameters, which show errors that those cannot explain.
     """
@@ -49,7 +50,7 @@ class Bundle:
     def __init__(self, problem: WindowProblem, point_ok: Bools, config: SmoothingConfig) -> None:
         self._points = np.ascontiguousarray(problem.points)
         self._latest: _Optimum | None = None
-        self._views = views_of(problem, point_ok, config)
+        self.views = views_of(problem, point_ok, config)
         self._slot = np.where(problem.fixed, -1, np.cumsum(~problem.fixed) - 1)
         self._config = config
         self.calibration_size, self.check_size = (2 if problem.baseline_m > 0.0 else 1), 1
@@ -97,7 +98,7 @@ class Bundle:
         at = self._at(world_from_cam)
         self._points = at.points
         poses = np.ascontiguousarray(inverse(world_from_cam)[:, :3])
-        views = self._views._replace(huber=_LENS_HUBER) if with_calibration else self._views
+        views = self.views._replace(huber=_LENS_HUBER) if with_calibration else self.views
         return at, poses, views
 
     def _at(self, world_from_cam: Floats) -> _Optimum:
@@ -108,7 +109,7 @@ class Bundle:
             points, cost = best_points(
                 self._points,
                 inverse(world_from_cam),
-                self._views,
+                self.views,
                 steps=self._config.iterations,
                 tolerance=tolerance,
             )

@@ -25,6 +25,7 @@ from vo.engine.backend.bundle import Bundle, views_of
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry import so3
+from vo.engine.geometry.points import PointViews
 
 _SIGMA_PX = 0.5  # of a pixel, before residuals are known
 _ROUNDS, _STEPS = 2, 40  # in the second round pixels are weighed by their residuals
@@ -35,6 +36,7 @@ _MAX_LOG_FOCAL = 0.2  # step of the logarithm of the focal length
 # unknown of its own it would take the place of the focal length.
 _K1_SIGMA, _K2_RATIO, _K2_SPREAD, _K2_SIGMA = 0.5, 1.2, 0.35, 0.01
 _MIN_SLOPE = 0.15  # of the distorted radius, below which a lens cannot be undone
+_EXACT = 1e-14  # difference of distorted radii
 _HARDLY = 1e3  # factor on the standard deviation of pixels there
 _CENTRE_SIGMA = 0.01  # of the principal point, in image widths
 
@@ -125,7 +127,8 @@ def adjust_lens(
         at = _converged(at, sigma, plain if number == 0 else config, columns)
     problem = _problem(at, np.ones(len(sigma)))
     found, depth = residuals(problem, at.views.world_from_cam, at.views.points)
-    hessian, _ = _chosen(_normal_equations(at, _problem(at, sigma), config), columns)
+    views = views_of(_problem(at, sigma), _all_ok(at.views), config)
+    hessian, _ = _chosen(_normal_equations(at, views), columns)
     column = columns.index(_LOG_FOCAL) - len(columns)
     variance = float(np.linalg.inv(hessian)[column, column])
     relative = float(np.sqrt(variance)) if variance > 0.0 else np.inf
@@ -139,8 +142,7 @@ def _converged(
     damping, bundle = _FIRST_DAMPING, Bundle(_problem(at, sigma), _all_ok(at.views), config)
     cost, at = bundle.cost(at.views.world_from_cam), _with_points(at, bundle)
     for _ in range(_STEPS):
-        problem = _problem(at, sigma)
-        hessian, gradient = _chosen(_normal_equations(at, problem, config), columns)
+        hessian, gradient = _chosen(_normal_equations(at, bundle.views), columns)
         while True:
             damped = hessian + damping * np.diag(np.diag(hessian))
             step = np.asarray(-np.linalg.solve(damped, gradient))
@@ -167,9 +169,7 @@ def _with_points(at: AdjustedLens, bundle: Bundle) -> AdjustedLens:
     return at._replace(views=views)
 
 
-def _normal_equations(
-    at: AdjustedLens, problem: WindowProblem, config: SmoothingConfig
-) -> tuple[Floats, Floats]:
+def _normal_equations(at: AdjustedLens, views: PointViews) -> tuple[Floats, Floats]:
     """Of all poses but the first, and the lens, with priors on the lens and on the extent."""
     poses = at.views.world_from_cam
     slot = np.arange(len(poses)) - 1
@@ -178,7 +178,7 @@ def _normal_equations(
         np.ascontiguousarray(inverse(poses)[:, :3]),
         slot,
         True,
-        views_of(problem, _all_ok(at.views), config)._replace(k1=at.lens.k1, k2=at.lens.k2),
+        views._replace(k1=at.lens.k1, k2=at.lens.k2),
     )
     size = 6 * (len(poses) - 1)
     _, cx, cy, k1, k2 = at.lens
@@ -245,11 +245,13 @@ def undistorted(xy: Floats, lens: Lens) -> tuple[Floats, Floats]:
     off = (xy - centre) / lens.focal
     distorted = np.hypot(off[:, 0], off[:, 1])
     radius = distorted.copy()
-    for _ in range(20):  # Newton
+    for _ in range(20):  # Newton, mostly six steps
         square = radius * radius
         slope = np.maximum(1.0 + square * (3.0 * lens.k1 + 5.0 * lens.k2 * square), _MIN_SLOPE)
         error = radius * (1.0 + square * (lens.k1 + lens.k2 * square)) - distorted
         radius = np.clip(radius - error / slope, 0.0, 10.0)
+        if np.abs(error).max(initial=0.0) < _EXACT:
+            break
     stretch = np.where(distorted > 1e-9, radius / np.maximum(distorted, 1e-9), 1.0)
     is_undone = (slope > _MIN_SLOPE) & (np.abs(error) < 1e-6)
     larger = np.where(is_undone, np.sqrt(stretch / slope), _HARDLY)  # along and across the radius
