@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
+from pathlib import Path
 
-from vo.outputs.results.environment import peak_rss_mb
+from vo.outputs.results.environment import _PACKAGES, peak_rss_mb, versions
 
 PRINT_PEAK = "from vo.outputs.results.environment import peak_rss_mb; print(peak_rss_mb())"
 PARENT = (
@@ -30,3 +32,25 @@ def test_released_memory_counts_towards_the_peak() -> None:
 def test_the_peak_never_decreases() -> None:
     before = peak_rss_mb()
     assert peak_rss_mb() >= before > 5
+
+
+def test_versions_are_those_of_the_installed_packages() -> None:
+    found = versions()
+    for name in ("numpy", "opencv"):
+        assert found[name] == importlib.metadata.version(_PACKAGES[name])
+    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
+
+
+def test_a_run_does_not_load_modules_that_search_packages(
+    synthetic_stereo: Path, tmp_path: Path
+) -> None:
+    code = "import sys; from vo.cli.entry import main; main()"
+    shown = "import atexit; atexit.register(lambda: print('importlib.metadata' in sys.modules))"
+    command = ["run", synthetic_stereo, "-o", tmp_path, "--end", "2", "-q"]
+    done = subprocess.run(
+        [sys.executable, "-c", code.replace("; ", f"; {shown}; ", 1), *command],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "False\n"

@@ -8,7 +8,6 @@ import resource
 import sys
 import time
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from vo.base.version import __version__
@@ -50,9 +49,18 @@ def process_age_s() -> float | None:
 def versions() -> dict[str, str]:
     """Versions of Python, this package and the libraries that affect results."""
     found = {"python": ".".join(map(str, sys.version_info[:3])), "vo": __version__}
-    for name, package in _PACKAGES.items():
-        try:
-            found[name] = version(package)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    return found | {name: _version(package) for name, package in _PACKAGES.items()}
+
+
+def _version(package: str) -> str:
+    """By the name of the folder that its installer left; `importlib.metadata` takes 10 ms."""
+    stem = package.replace("-", "_")
+    for folder in sys.path:
+        for path in Path(folder).glob(f"{stem}-*.dist-info") if folder else ():
+            return path.name.removeprefix(f"{stem}-").removesuffix(".dist-info")
+    from importlib.metadata import PackageNotFoundError, version  # other installers
+
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
