@@ -12,7 +12,7 @@ from vo.engine.mapping.keyframe import Keyframe
 def update_covariances(keyframes: tuple[Keyframe, ...], solution: WindowSolution) -> None:
     """Update covariances and cross-covariances of the keyframes that a window moved."""
     count = len(keyframes)
-    joint = propagated(solution.information, solution.held, _joint(keyframes))
+    joint = propagated(solution.information, solution.held, _joint(keyframes, solution.held))
     blocks = np.ascontiguousarray(joint.reshape(count, 6, count, 6).swapaxes(1, 2))
     known = np.asarray(np.isfinite(blocks).all(axis=(2, 3)))
     for k, keyframe in enumerate(keyframes):
@@ -22,14 +22,16 @@ def update_covariances(keyframes: tuple[Keyframe, ...], solution: WindowSolution
         keyframe.cross_covariance = {keyframes[j].id: blocks[k, j] for j in range(k) if known[k, j]}
 
 
-def _joint(keyframes: tuple[Keyframe, ...]) -> Floats:
-    """(6 K, 6 K) joint covariance; NaN on the diagonal where it is unknown."""
+def _joint(keyframes: tuple[Keyframe, ...], held: Bools) -> Floats:
+    """(6 K, 6 K) joint covariance of those that are held; NaN on the diagonal where unknown."""
     count = len(keyframes)
     blocks = np.zeros((count, count, 6, 6))
-    for k, keyframe in enumerate(keyframes):
+    fixed = [k for k in range(count) if held[k]]
+    for n, k in enumerate(fixed):
+        keyframe = keyframes[k]
         blocks[k, k] = np.nan if keyframe.covariance is None else keyframe.covariance
-        for j, other in enumerate(keyframes[:k]):
-            cross = keyframe.cross_covariance.get(other.id)
+        for j in fixed[:n]:
+            cross = keyframe.cross_covariance.get(keyframes[j].id)
             if cross is not None:
                 blocks[k, j], blocks[j, k] = cross, cross.T
     return blocks.swapaxes(1, 2).reshape(6 * count, 6 * count)

@@ -18,6 +18,7 @@ from vo.base.geometry.projection import (
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.residuals import residuals
 from vo.engine.backend.window_problem import WindowProblem
+from vo.engine.geometry.points import by_points
 
 
 class Linearised(NamedTuple):
@@ -57,7 +58,10 @@ def linearise(
     """
     residual, depth = residuals(problem, world_from_cam, points)
     used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
-    order = used[np.lexsort((problem.keyframe[used], problem.point[used]))]
+    if (problem.keyframe[1:] < problem.keyframe[:-1]).any():
+        used = used[np.argsort(problem.keyframe[used], kind="stable")]
+    starts, rows = by_points(np.ones(len(points), dtype=bool), problem.point[used])
+    order = used[rows]
     by_pose, by_point, error = _linearised(
         np.ascontiguousarray(world_from_cam),
         np.ascontiguousarray(points),
@@ -72,7 +76,6 @@ def linearise(
         problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
     )
-    starts = np.searchsorted(problem.point[order], np.arange(len(points) + 1))
     keyframe = problem.keyframe[order]
     poses = len(world_from_cam)
     return Linearised(poses, starts, keyframe, by_pose, by_point, error)
