@@ -13,6 +13,7 @@ from vo.base.types import Trajectory
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.local_map import LocalMap
+from vo.engine.mapping.tracked_frame import TrackedFrame
 from vo.engine.places.records import Loop
 from vo.engine.trajectory.store import TrajectoryStore
 
@@ -77,6 +78,11 @@ class MapAlignment:
             self._inertial.begin_frame(local_map)
         if self._memory is not None:
             self._memory.begin_frame(index, segment, local_map)
+
+    def see_frame(self, frame: PreprocessedFrame, tracked: TrackedFrame, newest: Keyframe) -> None:
+        """After a frame was tracked that does not become a keyframe; the newest one is given."""
+        if self._inertial is not None:
+            self._inertial.tracked.see(frame, tracked, newest)
 
     def see_markers(
         self, frame_index: int, views: Sequence[MarkerView], repeated: Sequence[int]

@@ -117,6 +117,7 @@ class Odometry(OdometryBase[PreprocessedFrame]):
             frame = self._rescue.at_keyframe(frame)
         else:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
+            self.map_alignment.see_frame(frame, tracked, newest)
         return FrameResult(frame, tracked, is_keyframe, last, faults=faults)
 
     def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:

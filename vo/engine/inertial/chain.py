@@ -10,6 +10,7 @@ import numpy as np
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
 from vo.engine.inertial.agreement import Agreement, agreement
+from vo.engine.inertial.between_keyframes import TrackedPoses, with_frames
 from vo.engine.inertial.earlier_states import with_earlier
 from vo.engine.inertial.estimation import (
     ChainProblem,
@@ -52,6 +53,7 @@ class InertialChain:
         initialised_frame: number of the frame at which first states were found, None before.
         agreement: of finished worlds, the first one that contradicts.
         finished: the worlds before the newest one.
+        tracked: frames between the keyframes of one camera.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class InertialChain:
         self.initialised_frame: int | None = None
         self.agreement = Agreement()
         self.finished: list[KeyframeStates] = []
+        self.tracked = TrackedPoses(is_metric=is_metric)
         self._reader, self._noise = reader, noise
         self._imu_from_cam, self._is_metric = imu_from_cam, is_metric
         self._nodes: list[Node] = []
@@ -73,6 +76,8 @@ class InertialChain:
         self._estimate: Estimate | None = None
         self._prior: Prior | None = None  # of the first node of the estimate
         self._biases: KnownBiases | None = None  # at the end of the world before
+        self._moved_ns: Mapping[int, int] = {}  # other times than some stamps
+        self._last: KeyframeStates | None = None  # what `finish` gave
 
     @property
     def is_initialised(self) -> bool:
@@ -109,6 +114,8 @@ class InertialChain:
 
     def remove_from(self, frame_index: int) -> None:
         """Forget a frame and all after it, which are tracked anew; states are found anew, too."""
+        self.tracked.forget_from(frame_index)
+        self._last = None
         kept = sum(node.frame_index < frame_index for node in self._nodes)
         del self._nodes[kept:], self._intervals[kept:], self._measured[kept:]
         self._estimate = self._prior = self._tried_ns = self._biases = None
@@ -128,10 +135,11 @@ class InertialChain:
 
         What follows has to be `finish`.
         """
-        stamps_ns = [(moved_ns or {}).get(n.stamp_ns, n.stamp_ns) for n in self._nodes]
-        for row in range(1, len(stamps_ns)):
-            self._intervals[row] = self._reader.between(stamps_ns[row - 1], stamps_ns[row])
-        self._measured = [None] * len(stamps_ns)
+        self._moved_ns, self._last = moved_ns or {}, None
+        for row in range(1, len(self._nodes)):
+            before, after = self._nodes[row - 1 : row + 1]
+            self._intervals[row] = self._between(before.stamp_ns, after.stamp_ns)
+        self._measured = [None] * len(self._nodes)
         self._tried_ns = None
 
     def update(self) -> KeyframeStates | None:
@@ -153,7 +161,7 @@ class InertialChain:
         solved = self._judged()
         if solved is not None:
             self._begin, self._estimate = self._origin, solved.estimate
-            solved = self._reached_back(solved)
+            solved = self._last = self._reached_back(solved)
         return solved
 
     def _reached_back(self, solved: KeyframeStates) -> KeyframeStates:
@@ -188,7 +196,7 @@ class InertialChain:
     def _judged(self, *, is_last: bool = True) -> KeyframeStates | None:
         """All states of the newest world, which is complete, after a test of their agreement."""
         try:
-            solved = self.smoothed()
+            solved = self._weighed()
         except np.linalg.LinAlgError:
             if is_last:  # one of few states that a long gap ends may have no solution
                 self.agreement = Agreement(NotYet.DISAGREEMENT.value)
@@ -199,13 +207,25 @@ class InertialChain:
             problem = ChainProblem(solved.estimate.steps, prior, self._noise)
             if self.agreement.contradiction is None:
                 self.agreement = agreement(problem, states)
-            if self._is_metric and self.agreement.contradiction is None:
+            if self.agreement.contradiction is not None:
+                return solved
+            if self._is_metric:
                 estimate = with_weighed_images(solved.estimate, prior, self._noise)
-                solved = replace(solved, estimate=estimate)
+            else:
+                tracked = self.tracked.by_keyframe()
+                estimate = with_frames(solved, tracked, self._between, prior, self._noise)
+            solved = replace(solved, estimate=estimate)
         return solved
+
+    def _between(self, *images_ns: int) -> Interval | None:
+        """Samples between the times of two images."""
+        return self._reader.between(*(self._moved_ns.get(each, each) for each in images_ns))
 
     def smoothed(self) -> KeyframeStates | None:
         """All states of the newest world, in the frame of its first camera; None without any."""
+        return self._weighed() if self._last is None else self._last
+
+    def _weighed(self) -> KeyframeStates | None:
         if self._estimate is None:
             return None
         biases = self._estimate.states

@@ -50,7 +50,7 @@ _METRIC_STEP_RATIO, _METRIC_STEP_RAD = 0.0003, 3e-5
 # keyframes and over one have these on average (docs/experiments/covariances.md).
 PARTS = (0.5, 0.25)
 _DOUBT = 2.0  # evidence less than the largest that a value is not refuted by
-_HUBER = 3.0  # normalised residual from which a visual motion counts less
+HUBER = 3.0  # normalised residual from which a visual motion counts less
 _MAX_ITERATIONS = 12
 _CONVERGED = 0.01  # largest step, in standard deviations
 _MAX_TURN_RAD = 0.5  # in one iteration
@@ -145,13 +145,24 @@ def estimate_states(
     Raises:
         numpy.linalg.LinAlgError: the measurements do not determine the states.
     """
-    problem = ChainProblem(steps, prior, noise, last)
+    return most_probable(ChainProblem(steps, prior, noise, last), states, last_step=last_step)
+
+
+def most_probable(
+    problem: ChainProblem, states: States, *, last_step: float = _CONVERGED
+) -> Estimate:
+    """The same with a problem.
+
+    Raises:
+        numpy.linalg.LinAlgError: the measurements do not determine the states.
+    """
     for _ in range(_MAX_ITERATIONS):
         equations = problem.normal_equations(states)
         solution = solve_chain(equations)
         turn = float(np.abs(solution.step[:, ROTATION]).max())
         step = solution.step * min(1.0, _MAX_TURN_RAD / max(turn, 1e-12))
         states = states.moved(step)
+        problem.follow(step)
         variance = np.diagonal(solution.covariance, axis1=1, axis2=2)
         largest = float((solution.step**2 / np.maximum(variance, 1e-24)).max())
         if largest < last_step**2:
@@ -165,7 +176,7 @@ def estimate_states(
         largest < last_step**2,
         solution.reduced,
         gradient,
-        steps,
+        problem.steps,
         problem.evidence(equations, solution),
     )
 
@@ -224,12 +235,22 @@ class ChainProblem:
         misfit: root mean square of all normalised residuals at the newest states, 0 without any.
         cost: sum of all weighed squares there.
         steps: all measurements.
+        width: columns of the tangent of a state.
         inertial_rows: of the states before inertial motions.
         visual_rows: of those before motions by images.
+
+    `errors`: of the motions by images, None for those of `image_errors`.
     """
 
+    width = WIDTH
+
     def __init__(
-        self, steps: Steps, prior: Prior, noise: ImuNoise, last: Prior | None = None
+        self,
+        steps: Steps,
+        prior: Prior,
+        noise: ImuNoise,
+        last: Prior | None = None,
+        errors: tuple[Floats, Floats] | None = None,
     ) -> None:
         self.misfit = self.cost = 0.0
         self.steps, self._priors = steps, [(0, prior)]
@@ -246,22 +267,17 @@ class ChainProblem:
             self.inertial_information = np.array([m.information for m in measured])
         walk = np.repeat([noise.gyro_walk, noise.accel_walk], 3)
         self._walk = np.maximum(np.sqrt(steps.duration_s)[:, None] * walk, _MIN_WALK)
-        covariance = steps.covariance if steps.is_metric else without_scale(steps)
-        covariance = _visual_covariance(steps, covariance)[self.visual_rows]
-        self.visual_information = np.asarray(np.linalg.inv(covariance), np.float64)
-        turned_rad = np.linalg.norm(so3.log(steps.visual[:, :3, :3]), axis=1)
-        drift = np.full(len(turned_rad), steps.errors.drift**2)
-        drift[turned_rad > QUICK_RAD_S * steps.duration_s] += _TURN_LOG_SCALE**2
-        self._sigma_scale = np.sqrt(drift)
+        covariance, self._sigma_scale = image_errors(steps) if errors is None else errors
+        self.visual_information = np.asarray(np.linalg.inv(covariance[self.visual_rows]))
 
     def normal_equations(self, states: States) -> Equations:
         """Normal equations of a step from these states."""
-        equations = empty_equations(states.number, WIDTH)
+        equations = empty_equations(states.number, self.width)
         self.cost = 0.0
         for row, prior in self._priors:
             off = states.rows(slice(row, row + 1)).since(prior.at)[0]
-            equations.before[row] += prior.information
-            equations.gradient_before[row] += prior.gradient + prior.information @ off
+            equations.before[row, :WIDTH, :WIDTH] += prior.information
+            equations.gradient_before[row, :WIDTH] += prior.gradient + prior.information @ off
             self.cost += float(off @ (2.0 * prior.gradient + prior.information @ off))
         total, count = 0.0, 0
         if len(self.inertial_rows):
@@ -270,13 +286,15 @@ class ChainProblem:
             count += inertial.residual.size
         self._add_walks(equations, states)
         if len(self.visual_rows):
-            visual, information = self.visual(states), self.visual_information
-            total += add_factors(self.visual_rows, *visual, information, _HUBER, equations)
-            count += visual.residual.size
+            total += self._add_visual(equations, states)
+            count += 6 * len(self.visual_rows)
         self._add_scale(equations, states)
         self.cost += total
         self.misfit = float(np.sqrt(total / count)) if count else 0.0
         return equations
+
+    def follow(self, step: Floats) -> None:
+        """Take the columns (n, width) of a step that are not of `States`."""
 
     def evidence(self, equations: Equations, solution: ChainSolution) -> float:
         """Logarithm of the measurements' probability, but for what `MapErrors` do not change."""
@@ -301,6 +319,11 @@ class ChainProblem:
         residual = self.inertial(states).residual
         squared = np.einsum("ni,nij,nj->n", residual, self.inertial_information, residual)
         return np.asarray(np.sqrt(squared.clip(0.0) / residual.shape[1]))
+
+    def _add_visual(self, equations: Equations, states: States) -> float:
+        """Add the motions by images; the sum of their squared normalised residuals."""
+        visual, information = self.visual(states), self.visual_information
+        return float(add_factors(self.visual_rows, *visual, information, HUBER, equations))
 
     def _add_walks(self, equations: Equations, states: States) -> None:
         """Biases walk; where samples are missing, the velocity may have any value."""
@@ -330,6 +353,18 @@ def _ends(states: States, rows: Ints) -> tuple[States, States]:
     if len(rows) == states.number - 1:
         return states.rows(slice(0, -1)), states.rows(slice(1, None))
     return States(*(f[rows] for f in states)), States(*(f[rows + 1] for f in states))
+
+
+def image_errors(steps: Steps) -> tuple[Floats, Floats]:
+    """Of n motions by images: covariances (n, 6, 6) with the drift that the windows do not contain.
+
+    And standard deviations (n,) of the change of the logarithm of the scale.
+    """
+    covariance = steps.covariance if steps.is_metric else without_scale(steps)
+    turned_rad = np.linalg.norm(so3.log(steps.visual[:, :3, :3]), axis=1)
+    drift = np.full(len(turned_rad), steps.errors.drift**2)
+    drift[turned_rad > QUICK_RAD_S * steps.duration_s] += _TURN_LOG_SCALE**2
+    return _visual_covariance(steps, covariance), np.sqrt(drift)
 
 
 def _visual_covariance(steps: Steps, covariance: Floats) -> Floats:

@@ -56,6 +56,7 @@ class InertialAlignment:
         map_poses: where the keyframes of a single camera are by the sensor.
         contradiction: after `finish`, how it contradicts the images; None where it does not.
         joint: after `finish`, metric paths by images and sensor.
+        tracked: frames between keyframes.
 
     `reader`: of a sensor with known extrinsics; its time offset is replaced where it is wrong.
     """
@@ -75,13 +76,13 @@ class InertialAlignment:
         self._reader = reader
         self._trajectory = trajectory
         self._is_metric = is_metric
-        assert sensor.cam0_from_imu is not None
         self._predictor = predictor
+        assert sensor.cam0_from_imu is not None
         self._imu_from_cam0 = inverse(sensor.cam0_from_imu)
         self._adjoint = adjoint(sensor.cam0_from_imu)
         noise, imu_from_cam = predictor.noise, predictor.imu_from_cam
         self._chain = InertialChain(reader, noise, imu_from_cam, is_metric=is_metric)
-        self.joint = JointPaths(noise)
+        self.joint, self.tracked = JointPaths(noise), self._chain.tracked
         self._offset = OffsetSearch(reader)
         self._gaps = InertialGaps(trajectory, reader, predictor.noise, sensor.cam0_from_imu)
         self._turns = InertialTurns(trajectory, predictor, reader, self._imu_from_cam0)
@@ -108,8 +109,7 @@ class InertialAlignment:
         )
         solved = self._chain.newest
         if solved is None:
-            reason = self._chain.reason
-            text = None if reason is None else reason.value
+            text = None if (reason := self._chain.reason) is None else reason.value
             is_error = reason in WRONG or found is not None
             return replace(use, reason=found or text, is_error=is_error)
         return replace(

@@ -61,6 +61,8 @@ class TrackedFrame:
         inlier: (n,) observations that agree with the pose.
         in_view: number of landmarks that should be in the image.
         velocity: for which the observations were corrected; None with a global shutter.
+        information: (6, 6) on the pose, tangent on the right, as if landmarks were exact; None
+            where more than their observations gave the pose.
     """
 
     world_from_cam: Floats
@@ -69,6 +71,7 @@ class TrackedFrame:
     inlier: Bools
     in_view: int
     velocity: Velocity | None = None
+    information: Floats | None = None
 
     @property
     def inliers(self) -> int:

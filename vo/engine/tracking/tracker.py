@@ -366,9 +366,9 @@ class Tracker:
             if not prior.leads and prior.is_contradicted(cam_from_world, fit.information):
                 return None
             cam_from_world = prior.fused(cam_from_world, fit.information)
-        ids = self._map.id[observed.rows]
-        pose = inverse(cam_from_world)
-        return TrackedFrame(pose, ids, observed, fit.inlier, in_view, velocity)
+        ids, pose = self._map.id[observed.rows], inverse(cam_from_world)
+        information = fit.information if prior is None else None
+        return TrackedFrame(pose, ids, observed, fit.inlier, in_view, velocity, information)
 
     def _min_inliers(self, visible: int) -> float:
         """Minimum number of inliers; half as many where they are most of the landmarks in view."""
