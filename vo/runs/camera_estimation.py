@@ -35,7 +35,6 @@ from vo.recordings.formats.warning_kinds import warning_kind
 from vo.recordings.sources.camera_hint import NO_HINT, CameraHint, camera_hint
 from vo.recordings.sources.registry import open_source
 from vo.recordings.sources.source import Recording
-from vo.recordings.sources.uncalibrated import open_uncalibrated
 from vo.runs.keyframe_tracking import (
     TrackedKeyframes,
     track_keyframes,
@@ -50,7 +49,6 @@ from vo.runs.readout_estimation import (
     velocities,
 )
 from vo.runs.run_options import RunOptions
-from vo.runs.sensor_alignment import align_sensor
 
 _log = logging.getLogger(__name__)
 
@@ -84,6 +82,10 @@ def open_estimated(
     Raises:
         CalibrationError: the images do not show the lens either.
     """
+    # The check of a calibration needs neither of these.
+    from vo.recordings.sources.uncalibrated import open_uncalibrated
+    from vo.runs.sensor_alignment import align_sensor
+
     _log.warning("%s: no calibration: focal length and distortion are estimated first", source)
     opening = {"format": options.format, "topics": options.topics}
     stream = open_uncalibrated(source, mode="mono", **opening)  # type: ignore[arg-type]

@@ -15,9 +15,7 @@ from vo.recordings.formats.exif import (
     exif_numbers,
 )
 from vo.recordings.formats.mp4_boxes import read_mp4
-from vo.recordings.sources.gopro import open_gopro
 from vo.recordings.sources.images import ImageFile, StoredImage
-from vo.recordings.sources.motion_tracks import read_motion_track
 from vo.recordings.sources.orientation import HEADER_BYTES
 
 _DIAGONAL_35_MM = math.hypot(36.0, 24.0)
@@ -52,6 +50,10 @@ def camera_hint(path: Path, first: StoredImage, size: tuple[int, int]) -> Camera
         return _checked(CameraHint(focal_px, _PHOTOGRAPH * focal_px, 0.0, told_by), size)
     if not path.is_file():
         return NO_HINT
+    # Recordings that are not videos need neither.
+    from vo.recordings.sources.gopro import open_gopro
+    from vo.recordings.sources.motion_tracks import read_motion_track
+
     gopro = open_gopro(path)
     if gopro is not None:
         readout_s = 0.0 if gopro.is_stabilised else gopro.readout_s
