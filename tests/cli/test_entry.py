@@ -72,11 +72,29 @@ def test_ctrl_c_at_exit_is_ignored(tmp_path: Path) -> None:
     assert result.stdout.startswith("vo ")
 
 
-@pytest.mark.parametrize("command", [c.name for c in app.registered_commands])
-def test_help_is_the_same_with_only_one_command_prepared(tmp_path: Path, command: str) -> None:
+COMMANDS = [str(command.name) for command in app.registered_commands]
+ALL_HELP = """
+import sys
+from vo.cli.app import app
+sys.argv[0] = "vo"
+for command in sys.argv[1:]:
+    app([command, "--help"], standalone_mode=False)
+    print(chr(0))
+"""
+
+
+@pytest.fixture(scope="module")
+def helps() -> dict[str, str]:
+    """Of each command, from one process that has prepared all of them."""
+    words = [sys.executable, "-c", ALL_HELP, *COMMANDS]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=True)
+    return dict(zip(COMMANDS, done.stdout.split("\0\n"), strict=False))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_is_the_same_with_only_one_command_prepared(
+    tmp_path: Path, helps: dict[str, str], command: str
+) -> None:
     alone = vo(tmp_path, "", command, "--help")
-    program = "import sys; from vo.cli.app import app; sys.argv[0] = 'vo'; app()"
-    words = [sys.executable, "-c", program, command, "--help"]
-    among = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert alone.returncode == 0
-    assert alone.stdout == among.stdout
+    assert alone.stdout == helps[command]
