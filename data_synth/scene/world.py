@@ -226,19 +226,15 @@ def clearance(world: World, points: Floats) -> Floats:
 
 
 def _clearance(world: World, points: Floats) -> Floats:
-    shapes = world.shapes[: len(world.bounds)]
-    relative = points[:, None] - shapes[:, :3]
-    cosine, sine = shapes[:, 6], shapes[:, 7]
-    local = np.stack(
-        [
-            cosine * relative[..., 0] + sine * relative[..., 1],
-            cosine * relative[..., 1] - sine * relative[..., 0],
-            relative[..., 2],
-        ],
-        axis=-1,
-    )
-    outside = np.maximum(np.abs(local) - shapes[:, 3:6], 0.0)
-    return np.asarray(np.linalg.norm(outside, axis=-1).min(axis=1, initial=np.inf))
+    shapes = np.ascontiguousarray(world.shapes[: len(world.bounds)].T)
+    x, y, z = (points[:, axis, None] - shapes[axis] for axis in range(3))
+    cosine, sine = shapes[6], shapes[7]
+    squared = np.zeros_like(x)
+    for apart, half in zip(
+        (cosine * x + sine * y, cosine * y - sine * x, z), shapes[3:6], strict=True
+    ):
+        squared += np.maximum(np.abs(apart) - half, 0.0) ** 2
+    return np.asarray(np.sqrt(squared.min(axis=1, initial=np.inf)))
 
 
 def _bounds(shapes: Floats) -> Floats:
