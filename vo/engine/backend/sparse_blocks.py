@@ -130,8 +130,8 @@ def _substitute(starts, below, gain, inverse, result):  # type: ignore[no-untype
                     result[below[p], i] -= gain[p, i, j] * result[k, j]
     own = np.empty(_SIZE)
     for k in range(len(starts) - 2, -1, -1):
-        own[:] = result[k]
-        result[k] = 0.0
+        for i in range(_SIZE):  # rows assigned as a whole take a second to compile
+            own[i], result[k, i] = result[k, i], 0.0
         for i in range(_SIZE):
             for j in range(_SIZE):
                 result[k, i] += inverse[k, i, j] * own[j]
@@ -144,7 +144,9 @@ def _invert(starts, below, gain, inverse, found):  # type: ignore[no-untyped-def
     """Blocks of the inverse where the factors have some, in `found`."""
     count, other = len(starts) - 1, np.empty((_SIZE, _SIZE))
     for k in range(count - 1, -1, -1):
-        found[k] = inverse[k]
+        for i in range(_SIZE):
+            for j in range(_SIZE):
+                found[k, i, j] = inverse[k, i, j]
         for p in range(starts[k], starts[k + 1]):
             for q in range(starts[k], starts[k + 1]):
                 row, column = max(below[p], below[q]), min(below[p], below[q])
