@@ -8,7 +8,9 @@ far things alike, and a motion forward near ones more.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,13 +20,14 @@ from vo.base.geometry.transforms import inverse, make_transform
 from vo.base.types import Camera, Floats
 from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.engine.geometry import so3
+from vo.engine.geometry.levenberg_marquardt import Law, minimise
 
-_ROUNDS, _STEPS, _CONVERGED = 3, 20, 1e-4  # from the second round on, residuals give weights
+_ROUNDS = 3  # from the second on, residuals give weights
+_LAW = Law(20, 1e-4, damping=1e-3, most=1e6, tries=20, factor=8.0)
 # Patches of a landmark err alike from one keyframe to the next, so that residuals are smaller.
 _SIGMA_PX, _MIN_SIGMA_PX, _CORRELATION, _HUBER = 0.5, 0.1, 4.0, 0.5
 # A focal length rests or changes much: steps have Student's rather than a normal distribution.
 _RESTING = 0.0005
-_FIRST_DAMPING, _DAMPING_FACTOR, _MAX_DAMPING = 1e-3, 8.0, 1e6
 _STEP = 1e-4  # of numerical derivatives
 _NOWHERE = 1e4  # pixels
 _SIZE = 7  # of a keyframe: rotation, position, logarithm of the focal length
@@ -69,7 +72,7 @@ def adjust_focal_lengths(views: KeyframeViews, camera: Camera, prior: FocalPrior
     for number in range(_ROUNDS):
         if number > 0:
             problem.weigh(state)
-        state = problem.converged(state)
+        state = minimise(problem, state, _LAW)
     variance = np.diag(np.linalg.inv(problem.reduced(state)))[_SIZE - 6 - 1 :: _SIZE]
     return AdjustedFocal(
         state.log_focal, np.sqrt(np.maximum(variance, 0.0)), problem.median_residual(state)
@@ -96,24 +99,9 @@ class _Problem:
         """In pixels."""
         return float(np.median(np.linalg.norm(self._errors(state)[0], axis=1)))
 
-    def converged(self, state: _State) -> _State:
-        """Iterate by Levenberg and Marquardt."""
-        damping, cost = _FIRST_DAMPING, self._cost(state)
-        for _ in range(_STEPS):
-            equations = self._linearised(state)
-            while True:
-                trial = self._moved(state, *_solved(*equations, damping))
-                trial_cost = self._cost(trial)
-                if trial_cost < cost:
-                    break
-                damping *= _DAMPING_FACTOR
-                if not damping < _MAX_DAMPING:
-                    return state
-            decrease, state, cost = cost - trial_cost, trial, trial_cost
-            damping /= _DAMPING_FACTOR
-            if decrease < _CONVERGED * cost:
-                break
-        return state
+    def steps(self, state: _State) -> Callable[[float], tuple[Floats, Floats]]:
+        """Steps of keyframes and landmarks."""
+        return partial(_solved, *self._linearised(state))
 
     def reduced(self, state: _State) -> Floats:
         """Information of all but the first pose, with the landmarks eliminated."""
@@ -147,7 +135,8 @@ class _Problem:
         cost = np.where(large, _HUBER * (length - 0.5 * _HUBER), 0.5 * length * length)
         return np.where(large, _HUBER / np.maximum(length, _HUBER), 1.0), cost
 
-    def _cost(self, state: _State) -> float:
+    def cost(self, state: _State) -> float:
+        """Half the squared errors, robust."""
         prior, log_focal = self._prior, state.log_focal
         steps = np.diff(log_focal) / prior.step_sigma
         known = (log_focal - prior.log_focal) / prior.sigma
@@ -208,9 +197,9 @@ class _Problem:
         gradient[a, -1] -= weight * np.diff(log_focal)
         gradient[b, -1] += weight * np.diff(log_focal)
 
-    @staticmethod
-    def _moved(state: _State, step: Floats, points: Floats) -> _State:
-        each = step.reshape(-1, _SIZE)
+    def moved(self, state: _State, step: tuple[Floats, Floats]) -> _State:
+        """The state after a step."""
+        each, points = step[0].reshape(-1, _SIZE), step[1]
         turned = [make_transform(so3.exp(s[None, :3])[0], s[3:6]) for s in each]
         return _State(
             np.stack(turned) @ state.cam_from_world,

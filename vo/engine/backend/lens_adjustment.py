@@ -9,7 +9,7 @@ Source: Triggs et al., "Bundle Adjustment: A Modern Synthesis", 2000, sec. 6.1 a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,12 +25,12 @@ from vo.engine.backend.bundle import Bundle, views_of
 from vo.engine.backend.residuals import residuals, with_measured_noise
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry import so3
+from vo.engine.geometry.levenberg_marquardt import Law, dense_steps, minimise
 from vo.engine.geometry.points import PointViews
 
 _SIGMA_PX = 0.5  # of a pixel, before residuals are known
-_ROUNDS, _STEPS = 2, 40  # in the second round pixels are weighed by their residuals
-_CONVERGED = 1e-5  # relative decrease of the cost
-_FIRST_DAMPING, _DAMPING_FACTOR, _MAX_DAMPING = 1e-3, 8.0, 1e4
+_ROUNDS = 2  # in the second one pixels are weighed by their residuals
+_LAW = Law(40, 1e-5, damping=1e-3, most=1e4, tries=40, factor=8.0)
 _MAX_LOG_FOCAL = 0.2  # step of the logarithm of the focal length
 # Of real lenses k2 is some 1.2 times the square of k1, or 0.01 where images were rectified; as an
 # unknown of its own it would take the place of the focal length.
@@ -124,49 +124,45 @@ def adjust_lens(
         if number > 0:
             problem = _problem(at, sigma)
             sigma = sigma * with_measured_noise(problem).sigma_px / problem.sigma_px
-        at = _converged(at, sigma, plain if number == 0 else config, columns)
+        variables = _Variables(sigma, plain if number == 0 else config, columns)
+        at, _ = minimise(variables, variables.at(at), _LAW)
     problem = _problem(at, np.ones(len(sigma)))
     found, depth = residuals(problem, at.views.world_from_cam, at.views.points)
-    views = views_of(_problem(at, sigma), _all_ok(at.views), config)
-    hessian, _ = _chosen(_normal_equations(at, views), columns)
+    observed = views_of(_problem(at, sigma), _all_ok(at.views), config)
+    hessian, _ = _chosen(_normal_equations(at, observed), columns)
     column = columns.index(_LOG_FOCAL) - len(columns)
     variance = float(np.linalg.inv(hessian)[column, column])
     relative = float(np.sqrt(variance)) if variance > 0.0 else np.inf
     return at._replace(residual_px=median(found[depth > 0.0]), relative_sigma=relative)
 
 
-def _converged(
-    at: AdjustedLens, sigma: Floats, config: SmoothingConfig, columns: tuple[int, ...]
-) -> AdjustedLens:
-    """Iterate by Levenberg and Marquardt, with constant weights of observations."""
-    damping, bundle = _FIRST_DAMPING, Bundle(_problem(at, sigma), _all_ok(at.views), config)
-    cost, at = bundle.cost(at.views.world_from_cam), _with_points(at, bundle)
-    for _ in range(_STEPS):
-        hessian, gradient = _chosen(_normal_equations(at, bundle.views), columns)
-        while True:
-            damped = hessian + damping * np.diag(np.diag(hessian))
-            step = np.asarray(-np.linalg.solve(damped, gradient))
-            trial = _moved(
-                at, step[: -len(columns)], dict(zip(columns, step[-len(columns) :], strict=True))
-            )
-            bundle = Bundle(_problem(trial, sigma), _all_ok(at.views), config)
-            trial_cost = bundle.cost(trial.views.world_from_cam)
-            if trial_cost < cost:
-                break
-            damping *= _DAMPING_FACTOR
-            if not damping < _MAX_DAMPING:
-                return at
-        at, damping = _with_points(trial, bundle), damping / _DAMPING_FACTOR
-        decrease, cost = cost - trial_cost, trial_cost
-        if decrease < _CONVERGED * cost:
-            break
-    return at
+class _Variables(NamedTuple):
+    """All poses but the first and the lens, with constant weights of observations."""
 
+    sigma: Floats
+    config: SmoothingConfig
+    columns: tuple[int, ...]
 
-def _with_points(at: AdjustedLens, bundle: Bundle) -> AdjustedLens:
-    """The same with the landmarks of its poses."""
-    views = replace(at.views, points=bundle.points_for(at.views.world_from_cam))
-    return at._replace(views=views)
+    def at(self, lens: AdjustedLens) -> tuple[AdjustedLens, Bundle]:
+        """The same with the landmarks of its poses, and its observations."""
+        bundle = Bundle(_problem(lens, self.sigma), _all_ok(lens.views), self.config)
+        views = replace(lens.views, points=bundle.points_for(lens.views.world_from_cam))
+        return lens._replace(views=views), bundle
+
+    def cost(self, state: tuple[AdjustedLens, Bundle]) -> float:
+        """Half the robust sum of squares."""
+        return state[1].cost(state[0].views.world_from_cam)
+
+    def steps(self, state: tuple[AdjustedLens, Bundle]) -> Callable[[float], Floats]:
+        """Damped by the diagonal of the hessian."""
+        return dense_steps(*_chosen(_normal_equations(state[0], state[1].views), self.columns))
+
+    def moved(
+        self, state: tuple[AdjustedLens, Bundle], step: Floats
+    ) -> tuple[AdjustedLens, Bundle]:
+        """Poses and lens after a step."""
+        poses, lens = np.split(step, [-len(self.columns)])
+        return self.at(_moved(state[0], poses, dict(zip(self.columns, lens, strict=True))))
 
 
 def _normal_equations(at: AdjustedLens, views: PointViews) -> tuple[Floats, Floats]:

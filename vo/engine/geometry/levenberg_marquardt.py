@@ -10,6 +10,7 @@ import numpy as np
 from vo.base.types import Floats
 
 State = TypeVar("State")
+Step = TypeVar("Step")  # often (N,)
 
 
 class Law(NamedTuple):
@@ -34,23 +35,23 @@ class Law(NamedTuple):
     factor: float = 10.0
 
 
-class Problem(Protocol[State]):
+class Problem(Protocol[State, Step]):
     """Variables with a cost."""
 
     def cost(self, state: State) -> float:
         """Half the squared errors."""
         ...
 
-    def steps(self, state: State) -> Callable[[float], Floats]:
-        """Linearise: the step (N,) for each damping, with LinAlgError where there is none."""
+    def steps(self, state: State) -> Callable[[float], Step]:
+        """Linearise: the step for each damping, with LinAlgError where there is none."""
         ...
 
-    def moved(self, state: State, step: Floats) -> State:
-        """The state after a step (N,)."""
+    def moved(self, state: State, step: Step) -> State:
+        """The state after a step."""
         ...
 
 
-def minimise(problem: Problem[State], start: State, law: Law) -> State:
+def minimise(problem: Problem[State, Step], start: State, law: Law) -> State:
     """The state of least cost that is found from a first one."""
     state, damping, cost = start, law.damping, problem.cost(start)
     for _ in range(law.iterations):

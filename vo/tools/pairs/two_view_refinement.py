@@ -6,21 +6,20 @@ Derivatives are differences, as there are at most eight numbers.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from vo.base.geometry.transforms import skew, so3_exp
 from vo.base.types import Floats
 from vo.engine.geometry import epipolar
+from vo.engine.geometry.levenberg_marquardt import Law, minimise
 from vo.tools.pairs.sampson import sampson
 
 State = TypeVar("State")
 
-_STEPS = 15
 _DIFFERENCE = 1e-7
-_CONVERGED = 1e-9  # relative decrease of the sum of squares
-_DAMPING, _DAMPING_FACTOR, _MAX_DAMPING = 1e-6, 10.0, 1e3
+_LAW = Law(15, 1e-9, damping=1e-6, least=1e-12, most=1e3, tries=15)
 
 
 def refine_fundamental(fundamental: Floats, first: Floats, second: Floats) -> Floats:
@@ -43,8 +42,10 @@ def refine_fundamental(fundamental: Floats, first: Floats, second: Floats) -> Fl
         u, v = state.u @ so3_exp(by[:3]), state.v @ so3_exp(by[3:6])
         return _Singular(u, state.ratio + float(by[6]), v)
 
-    found = _minimise(start, move, lambda s: sampson(matrix(s), first, second), 7)
-    result = matrix(found)
+    def residuals(state: _Singular) -> Floats:
+        return sampson(matrix(state), first, second)
+
+    result = matrix(minimise(_Differences(move, residuals, 7), start, _LAW))
     return np.asarray(result / np.linalg.norm(result))
 
 
@@ -86,7 +87,7 @@ def refine_motion(
     def residuals(state: Motion) -> Floats:
         return sampson(inverse_second.T @ state.essential @ inverse_first, first, second)
 
-    return _minimise(motion, move, residuals, 5)
+    return minimise(_Differences(move, residuals, 5), motion, _LAW)
 
 
 def refine_homography(homography: Floats, first: Floats, second: Floats) -> Floats:
@@ -109,7 +110,7 @@ def refine_homography(homography: Floats, first: Floats, second: Floats) -> Floa
         backward = epipolar.transferred(back, second) - first
         return np.concatenate([forward.ravel(), backward.ravel()])
 
-    result = matrix(_minimise(start, move, residuals, 8))
+    result = matrix(minimise(_Differences(move, residuals, 8), start, _LAW))
     return np.asarray(result / np.linalg.norm(result))
 
 
@@ -121,37 +122,32 @@ def _normalisation(xy: Floats) -> Floats:
     return np.array([[scale, 0, -scale * middle[0]], [0, scale, -scale * middle[1]], [0, 0, 1.0]])
 
 
-def _minimise(
-    state: State,
-    move: Callable[[State, Floats], State],
-    residuals: Callable[[State], Floats],
-    size: int,
-) -> State:
-    """Levenberg-Marquardt over the `size` numbers of `move`, from `state`."""
-    error = residuals(state)
-    cost = float(error @ error)
-    damping = _DAMPING
-    for _ in range(_STEPS):
-        jacobian = np.empty((len(error), size))
-        for n, small in enumerate(_DIFFERENCE * np.eye(size)):
-            jacobian[:, n] = (residuals(move(state, small)) - error) / _DIFFERENCE
+class _Differences(NamedTuple, Generic[State]):
+    """A state with `size` numbers of `move`, and its residuals."""
+
+    move: Callable[[State, Floats], State]
+    residuals: Callable[[State], Floats]
+    size: int
+
+    def cost(self, state: State) -> float:
+        """Sum of squares."""
+        error = self.residuals(state)
+        return float(error @ error)
+
+    def steps(self, state: State) -> Callable[[float], Floats]:
+        """Damped by the diagonal."""
+        error = self.residuals(state)
+        moved = [self.residuals(self.move(state, by)) for by in _DIFFERENCE * np.eye(self.size)]
+        jacobian = np.stack([(each - error) / _DIFFERENCE for each in moved], axis=1)
         normal, right = jacobian.T @ jacobian, -jacobian.T @ error
-        if not (np.isfinite(normal).all() and np.isfinite(right).all()):
-            break
-        scale = np.diag(normal).copy() + 1e-12 * float(np.trace(normal)) + 1e-30
-        while damping < _MAX_DAMPING:
-            step = np.linalg.lstsq(normal + damping * np.diag(scale), right, rcond=None)[0]
-            trial = move(state, np.asarray(step, dtype=np.float64))
-            trial_error = residuals(trial)
-            trial_cost = float(trial_error @ trial_error)
-            if trial_cost < cost:
-                break
-            damping *= _DAMPING_FACTOR
-        else:
-            break
-        decrease = cost - trial_cost
-        state, error, cost = trial, trial_error, trial_cost
-        damping = max(damping / _DAMPING_FACTOR, 1e-12)
-        if decrease < _CONVERGED * cost:
-            break
-    return state
+        scale = np.diag(np.diag(normal) + 1e-12 * float(np.trace(normal)) + 1e-30)
+
+        def step(damping: float) -> Floats:
+            found = np.linalg.lstsq(normal + damping * scale, right, rcond=None)[0]
+            return np.asarray(found, np.float64)
+
+        return step
+
+    def moved(self, state: State, step: Floats) -> State:
+        """The state after a step."""
+        return self.move(state, step)
