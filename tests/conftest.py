@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -25,6 +27,16 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any speed")
 use_common_instructions()  # as the program does, so that both share what is compiled
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _worlds_are_built_once() -> Iterator[None]:
+    """Most renderings are of the same world, whose textures take longer than a few frames."""
+    from data_synth import plan
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "make_scene", lru_cache(maxsize=2)(plan.make_scene))
+        yield
 
 
 @pytest.fixture(scope="session")
