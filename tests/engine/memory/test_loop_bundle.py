@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
@@ -12,6 +13,7 @@ from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Floats, Keypoints
 from vo.engine.mapping.keyframe import FrameId, Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
+from vo.engine.memory import loop_bundle
 from vo.engine.memory.loop_bundle import LoopBundle
 from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
@@ -43,6 +45,17 @@ class _Circle:
     scale: Floats
     bundle: LoopBundle
     loops: list[Loop]
+
+
+@pytest.mark.parametrize(("largest", "stored"), [(40, 40), (39, 0)])
+def test_what_keyframes_of_a_segment_that_is_too_large_observe_is_not_kept(
+    monkeypatch: pytest.MonkeyPatch, largest: int, stored: int
+) -> None:
+    monkeypatch.setattr(loop_bundle, "_MAX_KEYFRAMES", largest)
+    circle = _circle()
+    assert len(circle.bundle._stored) == stored
+    adjusted = circle.bundle.adjusted(_placed(circle), circle.loops)
+    assert (adjusted is None) == (stored == 0)
 
 
 def _circle() -> _Circle:

@@ -8,7 +8,8 @@ two cameras the pose graph alone is as accurate (docs/experiments/loop-verificat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -20,12 +21,12 @@ from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Floats, Floats32, Ints
 from vo.engine.backend.loop_adjustment import NO_MOTIONS, AdjustedPath, Motions, adjust_path
 from vo.engine.backend.window_problem import WindowProblem
-from vo.engine.mapping.keyframe import Keyframe
+from vo.engine.mapping.keyframe import FrameId, Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
 _MAX_KEYFRAMES = 2000  # some twenty seconds for so many
-_MAX_STORED = 20_000  # keyframes, some 10 kB each, beyond which no world is small enough
+_MAX_STORED = 20_000  # in all segments; each takes some 10 kB
 _MAX_MORE_SCALE, _MIN_SCALE_ERROR = 1.5, 0.001  # of scales at loops, relative to the graph
 
 
@@ -38,7 +39,7 @@ class _Observations(NamedTuple):
         sigma_px: (n,) standard deviation of xy.
     """
 
-    frame_index: int
+    frame: FrameId
     landmark: Ints
     xyz: Floats32
     xy: Floats32
@@ -46,23 +47,29 @@ class _Observations(NamedTuple):
 
 
 class LoopBundle:
-    """Keeps the observations of stored keyframes, and adjusts worlds with loops by them."""
+    """Keeps the observations of stored keyframes, and adjusts worlds with loops by them.
+
+    Those of segments that are too large are not kept.
+    """
 
     def __init__(self, intrinsics: Intrinsics, config: SmoothingConfig) -> None:
         self._intrinsics = intrinsics
         self._config = config
-        self._stored: dict[PlaceKey, _Observations] | None = {}
+        self._stored: dict[PlaceKey, _Observations] = {}
+        self._keyframes: Counter[int] = Counter()  # added, by segment
 
     def add(self, key: PlaceKey, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
         """Keep what a keyframe observes."""
-        if self._stored is None or len(self._stored) == _MAX_STORED:
-            self._stored = None
+        segment = keyframe.frame.segment
+        self._keyframes[segment] += 1
+        if self._keyframes[segment] > _MAX_KEYFRAMES or len(self._stored) == _MAX_STORED:
+            self._keep(lambda frame: frame.segment != segment)
             return
         order = np.argsort(keyframe.landmark, kind="stable")
         order = order[np.isin(keyframe.landmark[order], landmarks.id, assume_unique=True)]
         xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
         self._stored[key] = _Observations(
-            keyframe.frame.index,
+            keyframe.frame,
             landmarks.id,
             xyz.astype(np.float32),
             keyframe.xy[order].astype(np.float32),
@@ -71,9 +78,10 @@ class LoopBundle:
 
     def remove_from(self, frame_index: int) -> None:
         """Forget keyframes of a frame and those after it, which are tracked anew."""
-        if self._stored is not None:
-            kept = {k: each for k, each in self._stored.items() if each.frame_index < frame_index}
-            self._stored = kept
+        self._keep(lambda frame: frame.index < frame_index)
+
+    def _keep(self, is_kept: Callable[[FrameId], bool]) -> None:
+        self._stored = {k: each for k, each in self._stored.items() if is_kept(each.frame)}
 
     def adjusted(
         self, registered: RegisteredKeyframes, loops: Sequence[Loop]
@@ -101,10 +109,9 @@ class LoopBundle:
 
     def _observations(self, keys: Sequence[PlaceKey]) -> list[_Observations] | None:
         """Observations of all keyframes of a world; None where there are too many, or none."""
-        stored = self._stored
-        if stored is None or len(keys) > _MAX_KEYFRAMES or any(key not in stored for key in keys):
+        if len(keys) > _MAX_KEYFRAMES or any(key not in self._stored for key in keys):
             return None
-        return [stored[key] for key in keys]
+        return [self._stored[key] for key in keys]
 
     def _problem(
         self,

@@ -62,8 +62,8 @@ def write_run(
     header = MapHeader(recogniser.camera, database.vocabulary.id, sessions, metric)
     known = set(registered.keys)
     keyframes = ((k, database.encoded(k)) for k in database if k in known)
-    kept = [loop for loop in loops if {loop.earlier, loop.later} <= known]
     written = {key for key in database if key in known}
+    kept = [loop for loop in loops if {loop.earlier, loop.later} <= written]
     write_map(path, header, keyframes, registered, kept, at_keyframes(markers, registered, written))
 
 
