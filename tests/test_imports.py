@@ -62,6 +62,7 @@ FLOORS: dict[str, tuple[set[str], ...]] = {
         {"tracking", "backend", "refinement", "maps", "loop_verification"},
         {"trajectory"},
         {"inertial_path"},
+        {"frame_refit"},
         {"map_updater", "snapshot", "memory", "warmup"},
         {"map_creator"},
         {"map_alignment"},

@@ -10,6 +10,7 @@ from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.records.calibration_errors import CalibrationErrors, LensError
 from vo.base.stopwatch import Stopwatch, timed
 from vo.engine.backend.sliding_window import SlidingWindow, WindowUpdate
+from vo.engine.frame_refit import FrameRefit
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.k1_error import edge_shift_px
 from vo.engine.geometry.right_camera_error import right_camera_error
@@ -29,6 +30,7 @@ class MapUpdater:
     Attributes:
         vertical_disparity: as estimated so far, None if it is unknown.
         corrected: vertical disparities corrected in right images.
+        refit: fits frames between keyframes again.
         stopwatch: measures the stage `window`.
     """
 
@@ -40,8 +42,10 @@ class MapUpdater:
         window: SlidingWindow,
         refiner: CalibrationRefiner,
         trajectory: TrajectoryBuilder,
+        refit: FrameRefit,
         stopwatch: Stopwatch,
     ) -> None:
+        self.refit = refit
         self.vertical_disparity: VerticalDisparity | None = None
         self.corrected = VerticalDisparity()
         self.stopwatch = stopwatch
@@ -108,6 +112,7 @@ class MapUpdater:
             return False
         self.apply()
         self._followed = frame.index - 1
+        self.refit.forget()
         self._refiner.restart()
         self._map.clear_corrected()
         pose = self._trajectory.remove_from(frame.index)
@@ -131,6 +136,11 @@ class MapUpdater:
         self._submit()
         self._store_moved(self._window.apply())
 
+    def finish(self) -> None:
+        """Apply the last result."""
+        self.apply()
+        self.refit.finish()
+
     @timed("window")
     def apply(self) -> None:
         """Wait for the pending result, if there is one, and apply it to the map."""
@@ -143,6 +153,7 @@ class MapUpdater:
         self._mapper.cull()
         self._mapper.estimate_normals(self._map.keyframes[-1])
         self._tracker.move(update.motion_until_now())
+        self.refit.update()
 
     @timed("window")
     def _correct_vertical_disparity(
@@ -154,6 +165,7 @@ class MapUpdater:
         """
         self.apply()
         self._map.correct_vertical_disparity(before, now)
+        self.refit.forget()
         self._store_moved(self._window.optimise_map())
         self._tracker.forget_kept()
 
@@ -174,6 +186,7 @@ class MapUpdater:
         correction = self._refiner.update(residual, weight, self._submitted_with)
         if correction is None:
             return
+        self.refit.forget()
         if isinstance(correction, DisparityCorrection):
             offset_px, curve_px, is_yaw = correction
             self._map.correct_disparities(offset_px, curve_px, is_yaw=is_yaw)

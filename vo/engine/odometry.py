@@ -81,7 +81,7 @@ class Odometry(OdometryBase[PreprocessedFrame]):
         return self._forecast.expects_all
 
     def _apply(self) -> None:
-        self._updater.apply()
+        self._updater.finish()
 
     def _next_frame(self) -> None:
         self._updater.next_frame()
@@ -118,6 +118,7 @@ class Odometry(OdometryBase[PreprocessedFrame]):
         else:
             self._trajectory.add_frame(frame, newest, tracked.world_from_cam)
             self.map_alignment.see_frame(frame, tracked, newest)
+            self._updater.refit.add(frame.index, tracked)
         return FrameResult(frame, tracked, is_keyframe, last, faults=faults)
 
     def _needs_keyframe(self, frame: PreprocessedFrame, tracked: TrackedFrame) -> bool:
@@ -132,6 +133,7 @@ class Odometry(OdometryBase[PreprocessedFrame]):
         assert tracked is not None
         frame.start_features()
         keyframe = self._mapper.add_keyframe(frame, tracked, self._recovery.segment)
+        self._updater.refit.add_keyframe(frame.index, tracked)
         if self._map.rig.is_metric:  # the window is optimised while the map grows
             self._updater.add_keyframe(keyframe)
             self._mapper.extend(keyframe, frame)
@@ -152,4 +154,6 @@ class Odometry(OdometryBase[PreprocessedFrame]):
         self.map_alignment.see_keyframe(keyframe, frame)
         tracked = as_tracked_frame(self._map, keyframe)
         self._tracker.restart(frame, tracked)
+        self._updater.refit.forget()
+        self._updater.refit.add_keyframe(frame.index, tracked)
         return FrameResult(frame, tracked, is_keyframe=True, keyframe=keyframe)

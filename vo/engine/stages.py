@@ -17,6 +17,7 @@ from vo.base.types import ImuNoise, Rig
 from vo.engine.backend.optimizer import WindowOptimizer, make_optimizer
 from vo.engine.backend.sliding_window import SlidingWindow
 from vo.engine.backend.window_problem import FactorSource
+from vo.engine.frame_refit import FrameRefit
 from vo.engine.frontend.contracts import (
     DescriptorFormat,
     FeatureExtractor,
@@ -41,6 +42,7 @@ from vo.engine.refinement.calibration_refiner import CalibrationRefiner
 from vo.engine.tracking.keyframe_policy import KeyframeForecast, KeyframePolicy
 from vo.engine.tracking.monocular_initializer import MonocularInitializer
 from vo.engine.tracking.motion_model import ConstantVelocity, MotionModel
+from vo.engine.tracking.pose_estimation import PoseEstimator
 from vo.engine.tracking.rescue import Rescue
 from vo.engine.tracking.tracker import Tracker
 from vo.engine.trajectory.builder import TrajectoryBuilder
@@ -146,7 +148,8 @@ def make_stages(
     sigma_px = config.stereo.sigma_disparity_px
     window = SlidingWindow(local_map, optimizer, sigma_px, config.smoothing, stopwatch, factors)
     refiner = CalibrationRefiner(rectified, config.refinement, has_depth=rig.has_depth)
-    updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, stopwatch)
+    refit = FrameRefit(PoseEstimator(local_map, sigma_px, config.tracking), trajectory)
+    updater = MapUpdater(local_map, mapper, tracker, window, refiner, trajectory, refit, stopwatch)
     first, needed = OrbExtractor(config.features), config.start.min_matches
     rescue = Rescue(local_map, tracker, frontend.matcher, first, second, needed)
     initializers = _initializers(local_map, mapper, frontend, config, predictor)

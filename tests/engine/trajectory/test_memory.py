@@ -21,7 +21,7 @@ def _keep(history: TrajectoryStore, first: int, last: int) -> None:
         history.add(number, number, 0, number // 3, np.eye(4))
 
 
-def test_the_path_takes_less_than_400_bytes_a_frame() -> None:
+def test_the_path_takes_less_than_450_bytes_a_frame() -> None:
     history = TrajectoryStore()
     _keep(history, 0, 300)
     tracemalloc.start()
@@ -32,4 +32,4 @@ def test_the_path_takes_less_than_400_bytes_a_frame() -> None:
         tracemalloc.stop()
     assert len(history.frames) == FRAMES
     # With a keyframe every third frame, which also keeps its pose in the odometry frame.
-    assert taken / (FRAMES - 300) < 400
+    assert taken / (FRAMES - 300) < 450

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from vo.base.geometry.transforms import interpolate, se3_exp
+from vo.base.geometry.transforms import interpolate, se3_exp, so3_exp
 from vo.base.types import Floats, KeyframePose
 from vo.engine.trajectory.inertial_frames import InertialFrame
 from vo.engine.trajectory.interpolation import InterpolatedFrames
@@ -49,6 +49,50 @@ def test_frames_move_with_their_keyframe_and_only_with_it() -> None:
     for frame in range(10):
         expected = move @ _pose(frame) if 4 <= frame < 8 else _pose(frame)
         np.testing.assert_allclose(found[frame], expected, atol=1e-12)
+
+
+def _connected() -> TrajectoryStore:
+    """Frames 0 to 9 as above, with keyframes that are connected."""
+    store = TrajectoryStore()
+    for frame in range(10):
+        if frame % 4 == 0:
+            _put(store, frame // 4, frame, _pose(frame))
+            if frame:
+                store.connect(frame // 4)
+        store.add(frame, 100 * frame, 0, frame // 4, _pose(frame))
+    return store
+
+
+def test_frames_between_keyframes_share_what_moves_the_second_one() -> None:
+    store = _connected()
+    store.take_changes()
+    turn, shift = np.array([0.1, 0.2, -0.1]), np.array([0.3, -0.1, 0.2])
+    moved = _pose(8)
+    moved[:3, :3], moved[:3, 3] = so3_exp(turn) @ moved[:3, :3], moved[:3, 3] + shift
+    _put(store, 2, 8, moved)
+    assert store.take_changes() == (4, 2)
+    found = store.trajectory().world_from_cam
+    np.testing.assert_allclose(found[8], moved, atol=1e-12)
+    for frame, share in ((3, 0.0), (4, 0.0), (5, 0.25), (7, 0.75)):
+        expected = _pose(frame)
+        expected[:3, :3] = so3_exp(share * turn) @ expected[:3, :3]
+        expected[:3, 3] += share * shift
+        np.testing.assert_allclose(found[frame], expected, atol=1e-12)
+    np.testing.assert_allclose(found[9], moved @ np.linalg.inv(_pose(8)) @ _pose(9), atol=1e-12)
+
+
+def test_what_frames_measured_is_replaced_relative_to_their_keyframe() -> None:
+    store = _connected()
+    store.take_changes()
+    # All motions since keyframe 1 were 5 % too long: its frames as measured again are right.
+    _put(store, 2, 8, _pose(7.8))
+    relative = np.stack([np.linalg.inv(_pose(4)) @ _pose(4 + 0.95 * n) for n in range(1, 5)])
+    store.measure([5, 6, 7, 8], relative)
+    assert store.take_changes() == (4, 2)
+    found = store.trajectory().world_from_cam
+    for n in range(5):
+        np.testing.assert_allclose(found[4 + n], _pose(4 + 0.95 * n), atol=1e-12)
+    np.testing.assert_allclose(found[9], _pose(7.8) @ _pose(1), atol=1e-12)
 
 
 def test_path_tells_which_frames_are_keyframes() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Any
 
@@ -56,8 +57,24 @@ class TrajectoryBuilder:
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Store a new keyframe, and add its frame."""
         self.update([keyframe])
+        if self._has_tracked_since(keyframe.frame):
+            self.store.connect(keyframe.id)
         frame, pose = keyframe.frame, self.world_from_cam0(keyframe.world_from_cam)
         self.store.add(frame.index, frame.stamp_ns, frame.segment, keyframe.id, pose)
+
+    def measure(self, frames: Sequence[int], keyframe_from_cam: Floats) -> None:
+        """Replace what frames measured since a keyframe, see `TrajectoryStore.measure`."""
+        self.store.measure(frames, self.world_from_cam0(keyframe_from_cam))
+
+    def _has_tracked_since(self, frame: FrameId) -> bool:
+        """Whether all frames since the keyframe before have a pose in its segment."""
+        rows = self.store.frames
+        if len(rows) == 0 or rows["segment"][-1] != frame.segment:
+            return False
+        first = bisect_left(rows["keyframe"], rows["keyframe"][-1])
+        between = (rows["frame_index"][first], frame.index)
+        begin, end = np.searchsorted(self.reached["frame_index"], between)
+        return bool(end - begin == np.count_nonzero(rows["fraction"][first:] == 0))
 
     def update(self, keyframes: Sequence[Keyframe]) -> None:
         """Store new poses and covariances of keyframes."""

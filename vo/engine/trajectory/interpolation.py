@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,11 +26,18 @@ class InterpolatedFrames:
     stride: int
     every: int
 
-    def between(self, first: int, last: int) -> range:
-        """Frames between two tracked ones; none if tracked frames are missing between them."""
-        if last - first != self.stride * self.every:
-            return range(0)
-        return range(first + self.stride, last, self.stride)
+    def rows(self, last: Any, frame_index: int) -> Iterator[tuple[Any, ...]]:
+        """Rows of the frames between the last tracked one, a row, and the next one.
+
+        None if tracked frames are missing between them.
+        """
+        first, begin, end = int(last["frame_index"]), last["stamp_ns"], self.stamps_ns[frame_index]
+        if frame_index - first != self.stride * self.every:
+            return
+        for number in range(first + self.stride, frame_index, self.stride):
+            stamp_ns = self.stamps_ns[number]
+            fraction = (stamp_ns - begin) / (end - begin)
+            yield number, stamp_ns, last["segment"], last["keyframe"], fraction, np.zeros((3, 4))
 
 
 def fill(poses: Floats, fraction: Floats) -> None:

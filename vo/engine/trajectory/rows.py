@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.geometry.transforms import inverse, whole_transforms
-from vo.base.types import Floats, KeyframePose
-from vo.engine.trajectory.map_frame import Anchor
+from vo.base.records.metric_scale import MetricScale
+from vo.base.types import Floats, Ints, KeyframePose
+from vo.engine.trajectory.map_frame import Anchor, scaled_covariance
 
 FRAME = np.dtype(
     [
@@ -31,6 +32,8 @@ KEYFRAME = np.dtype(
         ("odom_from_cam0", np.float64, (3, 4)),  # in the odometry frame
         ("world_from_cam0", np.float64, (3, 4)),  # in the map frame
         ("scale", np.float64),  # length in the map frame of one unit of the odometry frame
+        # As tracked, in units of the odometry; NaN if frames between them have no pose.
+        ("previous_from_cam", np.float64, (3, 4)),
         ("odom_covariance", np.float64, (21,)),  # upper triangle, NaN if unknown
         ("covariance", np.float64, (21,)),
     ]
@@ -52,7 +55,7 @@ def keyframe_rows(
     i, j = TRIANGLE
     rows["odom_from_cam0"] = rows["world_from_cam0"] = odom_from_cam0[:, :3]
     rows["odom_covariance"] = rows["covariance"] = covariance[:, i, j]
-    rows["scale"] = 1.0
+    rows["scale"], rows["previous_from_cam"] = 1.0, np.nan
     for segment in sorted(set(rows["segment"].tolist()) & anchors.keys()):
         anchor, chosen = anchors[segment], np.flatnonzero(rows["segment"] == segment)
         rows["world_from_cam0"][chosen] = anchor.transform(odom_from_cam0[chosen])[:, :3]
@@ -71,12 +74,18 @@ def symmetric(triangles: Floats) -> Floats:
     return result
 
 
-def in_proportion(world_from_cam0: Floats) -> Floats:
-    """(n, 6, 6) covariances of poses (n, 4, 4) in a world whose lengths all have a sigma of 1."""
-    to_origin = -inverse(world_from_cam0)[:, :3, 3]
-    result = np.zeros((len(to_origin), 6, 6))
-    result[:, 3:, 3:] = to_origin[:, :, None] * to_origin[:, None, :]
-    return result
+def apply_scale(table: NDArray[Any], rows: Ints, scale: MetricScale) -> None:
+    """Convert rows (n,) of the table of keyframes to metres."""
+    poses = whole_transforms(table["world_from_cam0"][rows])
+    poses[:, :3, 3] *= scale.value
+    table["world_from_cam0"][rows] = poses[:, :3]
+    table["scale"][rows] *= scale.value
+    covariance = scaled_covariance(symmetric(table["covariance"][rows]), scale.value)
+    to_origin = -inverse(poses)[:, :3, 3]
+    by_scale = to_origin[:, :, None] * to_origin[:, None, :]
+    covariance[:, 3:, 3:] += scale.relative_sigma**2 * by_scale
+    i, j = TRIANGLE
+    table["covariance"][rows] = covariance[:, i, j]
 
 
 def keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:

@@ -13,15 +13,16 @@ from vo.base.geometry.transforms import inverse, whole_transforms
 from vo.base.records.metric_scale import MetricScale
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Floats, Ints, KeyframePose, Trajectory
+from vo.engine.trajectory.between import share_motion
 from vo.engine.trajectory.inertial_frames import InertialFrame, inserted, with_inertial
 from vo.engine.trajectory.interpolation import InterpolatedFrames, fill
-from vo.engine.trajectory.map_frame import Anchor, make_anchors, scaled_covariance
+from vo.engine.trajectory.map_frame import Anchor, make_anchors
 from vo.engine.trajectory.metric_segments import MetricSegments
 from vo.engine.trajectory.rows import (
     FRAME,
     KEYFRAME,
     TRIANGLE,
-    in_proportion,
+    apply_scale,
     keyframe_poses,
     keyframe_rows,
     symmetric,
@@ -100,9 +101,30 @@ class TrajectoryStore:
             if row == len(self._keyframes):
                 self._keyframes.append(*fields)
             else:
+                fields["previous_from_cam"] = self._keyframes.rows["previous_from_cam"][row]
                 self._keyframes.rows[row] = fields
-        first = bisect_left(self.frames["keyframe"], keyframes[0])
-        self._changed = min(self._changed, self._first_after_tracked(first))
+        self._change_from(self._keyframe_row(keyframes[0]))
+
+    def connect(self, keyframe: int) -> None:
+        """Note where a new keyframe was tracked; frames since the last one share later motion."""
+        row = self._keyframe_row(keyframe)
+        pose = whole_transforms(self._keyframes.rows["odom_from_cam0"][row - 1 : row + 1])
+        self._keyframes.rows["previous_from_cam"][row] = (inverse(pose[0]) @ pose[1])[:3]
+
+    def measure(self, frames: Sequence[int], keyframe_from_cam: Floats) -> None:
+        """Replace what consecutive frames measured: poses (n, 4, 4) in the keyframe before them.
+
+        The last one may be the next keyframe, if it was connected.
+        """
+        rows = np.searchsorted(self.frames["frame_index"], frames)
+        table = self._keyframes.rows
+        following = bisect_left(table["frame_index"], frames[-1])
+        if following < len(table) and table["frame_index"][following] == frames[-1]:
+            table["previous_from_cam"][following] = keyframe_from_cam[-1, :3]
+            rows = rows[:-1]
+        self.frames["keyframe_from_cam"][rows] = keyframe_from_cam[: len(rows), :3]
+        if len(rows):
+            self._changed = min(self._changed, self._first_after_tracked(int(rows[0])))
 
     def anchor(self, segment: int) -> Anchor | None:
         """The newest keyframe of a segment that was placed, which its newer poses follow."""
@@ -166,8 +188,7 @@ class TrajectoryStore:
             self._moved |= set(rows["id"][of_segment].tolist())
             first = min(first, int(of_segment[0]))
         self._changed_keyframe = min(self._changed_keyframe, first)
-        frame = bisect_left(self.frames["keyframe"], int(rows["id"][first]))
-        self._changed = min(self._changed, self._first_after_tracked(frame))
+        self._change_from(first)
 
     def registered(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
         """Ids, poses, scales and covariances of a world's keyframes, as for `move_keyframes`."""
@@ -187,17 +208,8 @@ class TrajectoryStore:
         table = self._keyframes.rows
         for number in np.unique(table["segment"]).tolist():
             scale = self.metric.scale(number)
-            if scale is None:
-                continue
-            rows = np.flatnonzero(table["segment"] == number)
-            poses = whole_transforms(table["world_from_cam0"][rows])
-            poses[:, :3, 3] *= scale.value
-            table["world_from_cam0"][rows] = poses[:, :3]
-            table["scale"][rows] *= scale.value
-            covariance = scaled_covariance(symmetric(table["covariance"][rows]), scale.value)
-            added = scale.relative_sigma**2 * in_proportion(poses)
-            i, j = TRIANGLE
-            table["covariance"][rows] = (covariance + added)[:, i, j]
+            if scale is not None:
+                apply_scale(table, np.flatnonzero(table["segment"] == number), scale)
         self._changed = self._changed_keyframe = 0
 
     def scales_of_segments(self) -> dict[int, MetricScale]:
@@ -254,7 +266,7 @@ class TrajectoryStore:
         return pose
 
     def has_frame(self, segment: int, before: int) -> bool:
-        """Whether the newest frame before a frame number is of this segment."""
+        """Whether the newest frame before another one is of this segment."""
         row = bisect_left(self.frames["frame_index"], before)
         return row > 0 and int(self.frames["segment"][row - 1]) == segment
 
@@ -349,6 +361,8 @@ class TrajectoryStore:
         if frame == "world_from_cam0":
             moved[:, :3, 3] *= self._keyframes.rows["scale"][rows, None]
         poses = whole_transforms(self._keyframes.rows[frame][rows]) @ moved
+        if len(rows) and rows[0] + 1 < len(self._keyframes):
+            share_motion(poses, frames, rows, self._keyframes.rows, frame)
         fill(poses, frames["fraction"])
         return np.asarray(poses[row - first :])
 
@@ -356,14 +370,15 @@ class TrajectoryStore:
         if self.interpolated is None or len(self._frames) == 0:
             return
         last = self.frames[-1]
-        if last["segment"] != segment:
-            return
-        stamps_ns, keyframe = self.interpolated.stamps_ns, int(last["keyframe"])
-        begin, end = int(last["stamp_ns"]), int(stamps_ns[frame_index])
-        for number in self.interpolated.between(int(last["frame_index"]), frame_index):
-            stamp_ns = int(stamps_ns[number])
-            fraction = (stamp_ns - begin) / (end - begin)
-            self._frames.append(number, stamp_ns, segment, keyframe, fraction, np.zeros((3, 4)))
+        if last["segment"] == segment:
+            for row in self.interpolated.rows(last, frame_index):
+                self._frames.append(*row)
+
+    def _change_from(self, row: int) -> None:
+        """Note that a keyframe was moved, and with it the frames around it."""
+        row -= bool(np.isfinite(self._keyframes.rows["previous_from_cam"][row, 0, 0]))
+        first = bisect_left(self.frames["keyframe"], self._keyframes.rows["id"][row])
+        self._changed = min(self._changed, self._first_after_tracked(first))
 
     def _first_after_tracked(self, row: int) -> int:
         """The row, or the first of the interpolated frames before it, which move with it."""
