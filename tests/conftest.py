@@ -33,9 +33,10 @@ use_common_instructions()  # as the program does, so that both share what is com
 def _worlds_are_built_once() -> Iterator[None]:
     """Most renderings are of the same world, whose textures take longer than a few frames."""
     from data_synth import plan
+    from data_synth.worlds.registry import make_scene
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plan, "make_scene", lru_cache(maxsize=2)(plan.make_scene))
+        patch.setattr(plan, "make_scene", lru_cache(maxsize=2)(make_scene))
         yield
 
 
