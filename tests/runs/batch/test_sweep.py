@@ -99,9 +99,9 @@ def test_the_drawing_of_what_is_held_out_is_seeded() -> None:
 
 
 def test_a_grid_finds_the_best_and_checks_it_on_the_others(walks: Path, tmp_path: Path) -> None:
-    options = replace(OPTIONS, overrides=("features.count=300",))
+    options = replace(OPTIONS, overrides=("features.count=150",))
     planned = plan([str(walks / "walk0"), str(walks / "walk1")], options)
-    spaces = [parse_space("features.count=300,1500")]
+    spaces = [parse_space("features.count=150,1500")]
 
     def sweep() -> object:
         engine = LocalEngine(1, Limits())
@@ -112,7 +112,7 @@ def test_a_grid_finds_the_best_and_checks_it_on_the_others(walks: Path, tmp_path
     first, second = found["trials"]
     assert (first["settings"], second["settings"]) == (
         {"features.count": "1500"},
-        {"features.count": "300"},
+        {"features.count": "150"},
     )
     assert first["score"] < second["score"] == 1.0
     assert (len(found["training"]), len(found["held_out"])) == (1, 1)
