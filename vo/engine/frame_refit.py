@@ -58,6 +58,8 @@ class FrameRefit:
 
     def _fit(self, interval: Sequence[tuple[int, TrackedFrame]]) -> None:
         """Fit the frames from a keyframe to the next one, or all of the last interval."""
+        if len(interval) < 3:  # there is nothing between
+            return
         numbers = [number for number, _ in interval]
         poses = []
         for _, tracked in interval:
@@ -65,5 +67,4 @@ class FrameRefit:
             if pose is None:
                 return
             poses.append(pose)
-        if len(poses) > 1:
-            self._trajectory.measure(numbers[1:], inverse(poses[0]) @ np.stack(poses[1:]))
+        self._trajectory.measure(numbers[1:], inverse(poses[0]) @ np.stack(poses[1:]))

@@ -123,8 +123,7 @@ class TrajectoryStore:
             table["previous_from_cam"][following] = keyframe_from_cam[-1, :3]
             rows = rows[:-1]
         self.frames["keyframe_from_cam"][rows] = keyframe_from_cam[: len(rows), :3]
-        if len(rows):
-            self._changed = min(self._changed, self._first_after_tracked(int(rows[0])))
+        self._changed = min(self._changed, self._first_after_tracked(int(rows[0])))
 
     def anchor(self, segment: int) -> Anchor | None:
         """The newest keyframe of a segment that was placed, which its newer poses follow."""
