@@ -33,7 +33,7 @@ def prepare() -> None:
         use_one_thread()
         if is_warm():
             return
-        _log.warning("compiling the inner loops, once: 20 to 40 s; `vo warmup` does it beforehand")
+        _log.warning("compiling the inner loops, once: 30 to 40 s; `vo warmup` does it beforehand")
         if "numba" in sys.modules:  # it has chosen its instructions when it was imported
             program = _PROGRAM.format(path=[path for path in sys.path if path])
             subprocess.run([sys.executable, "-P", "-c", program], check=False)

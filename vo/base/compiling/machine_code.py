@@ -22,8 +22,6 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, NamedTuple
 
-from vo.base.compiling.shortcuts import shortcuts
-
 _SUPPORTED_VERSIONS = ("0.68.",)
 _SUPPORTED_SYSTEM = ("CPython", "Linux", "x86_64")
 # Symbols of Intel's mathematics library, which numba uses if installed; it is not loaded here.
@@ -72,8 +70,7 @@ def compile_for(dispatcher: Any, arguments: tuple[Any, ...]) -> MachineCode | No
     import numba
 
     signature = tuple(map(numba.typeof, arguments))
-    with shortcuts():
-        dispatcher.compile(signature)
+    dispatcher.compile(signature)
     compiled = dispatcher.overloads[signature]
     object_file = compiled.library.serialize_using_object_code()[2][0]
     if _FOREIGN in object_file or compiled.referenced_envs:
