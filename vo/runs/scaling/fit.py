@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.geometry.similarity import umeyama
 from vo.base.types import Bools, Floats, Ints
 from vo.runs.scaling.correlation import correlated_variance
 
@@ -147,41 +146,55 @@ def _best_sample(
     rng = np.random.default_rng(0)
     count = len(source)
     rows = np.unique(np.linspace(0, count - 1, min(_SCORED, count)).astype(np.int64))
-    found: list[tuple[float, int, _Solution]] = []
-    for number in range(_SAMPLES):
+    chosen = np.empty((_SAMPLES, 3), np.int64)
+    for sample in chosen:
         # Three positions of a part of the path, far apart: with noise, near ones say nothing.
         length = int(rng.integers(max(count // 3, min(MIN_POSITIONS, count)), count + 1))
         first = int(rng.integers(0, count - length + 1))
         third = length // 3
-        chosen = first + np.array([int(rng.integers(k * third, (k + 1) * third)) for k in range(3)])
-        solution = _sampled(source[chosen], target[chosen], with_scale=with_scale)
-        if solution is not None:
-            found.append((_score(solution, source[rows], target[rows]), number, solution))
-    found.sort(key=lambda each: each[:2])
+        sample[:] = [first + int(rng.integers(k * third, (k + 1) * third)) for k in range(3)]
+    found = _sampled(source[chosen], target[chosen], with_scale=with_scale)
+    scores = _scores(found, source[rows], target[rows])
     piece = np.zeros(count, np.int64)
     best: tuple[float, _Solution] | None = None
-    for _, _, solution in found[:_REFINED]:
+    for number in np.argsort(scores, kind="stable")[:_REFINED].tolist():
+        solution = found[number]
         refined, _ = _refine(solution, source, target, weight, piece, with_scale=with_scale)
-        for each in (refined, solution):
-            score = _score(each, source[rows], target[rows])
+        each_score = (*_scores([refined], source[rows], target[rows]), scores[number])
+        for score, each in zip(each_score, (refined, solution), strict=True):
             if each.scale > 0.0 and (best is None or score < best[0]):
-                best = score, each
+                best = float(score), each
     return None if best is None else best[1]
 
 
-def _sampled(source: Floats, target: Floats, *, with_scale: bool) -> _Solution | None:
-    try:
-        found = umeyama(source, target, with_scale=with_scale)
-    except ValueError:
-        return None
-    if found.scale <= 0.0:
-        return None
-    return _Solution(found.scale, found.rotation, found.translation[None])
+def _sampled(source: Floats, target: Floats, *, with_scale: bool) -> list[_Solution]:
+    """Solutions of triples of positions (S, 3, 3), without those of triples in one place."""
+    means = source.mean(axis=1), target.mean(axis=1)
+    x, y = source - means[0][:, None], target - means[1][:, None]
+    spreads = [(each**2).sum(axis=2).mean(axis=1) for each in (x, y)]
+    smallest = [(1e-12 * np.maximum(1.0, np.abs(mean).max(axis=1))) ** 2 for mean in means]
+    u, d, vt = np.linalg.svd(y.transpose(0, 2, 1) @ x / 3.0)
+    signs = np.ones((len(d), 3))
+    signs[np.linalg.det(u) * np.linalg.det(vt) < 0.0, 2] = -1.0
+    rotations = (u * signs[:, None]) @ vt
+    scales = np.ones(len(d))
+    if with_scale:
+        scales = (d * signs).sum(axis=1) / np.maximum(spreads[0], 1e-300)
+    good = (spreads[0] > smallest[0]) & (spreads[1] > smallest[1]) & (scales > 0.0)
+    shifts = means[1] - scales[:, None] * (rotations @ means[0][:, :, None])[:, :, 0]
+    return [
+        _Solution(float(scales[k]), rotations[k], shifts[k : k + 1]) for k in np.flatnonzero(good)
+    ]
 
 
-def _score(solution: _Solution, source: Floats, target: Floats) -> float:
-    residuals = target - _moved(solution, source, np.zeros(len(source), np.int64))
-    return float(np.quantile((residuals**2).sum(axis=1), _SCORE_QUANTILE))
+def _scores(solutions: list[_Solution], source: Floats, target: Floats) -> Floats:
+    """The quantile of squared residuals of each solution of one piece."""
+    if not solutions:
+        return np.empty(0)
+    turns = np.stack([each.scale * each.rotation.T for each in solutions])
+    shifts = np.stack([each.shifts for each in solutions])
+    squares = ((target - (source @ turns + shifts)) ** 2).sum(axis=2)
+    return np.asarray(np.quantile(squares, _SCORE_QUANTILE, axis=1))
 
 
 def _moved(solution: _Solution, source: Floats, piece: Ints) -> Floats:
