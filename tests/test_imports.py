@@ -47,7 +47,7 @@ ENTRANCES = {
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.base": (
         {"errors", "failures", "faults", "printable", "scheduling", "stopwatch", "version"}
-        | {"compiling", "option_names"},
+        | {"compiling", "frozen", "option_names"},
         {"files"},
         {"extras", "settings", "types"},
         {"feature_settings", "geometry", "images", "noise_classes", "records"},

@@ -9,7 +9,7 @@ map), angles in radians, time in integer nanoseconds; points are rows.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from vo.base.failures import Failure
 from vo.base.faults import Fault
+from vo.base.frozen import frozen
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -39,7 +40,7 @@ DistortionModel = Literal[
 Mode = Literal["auto", "mono", "stereo"]
 
 
-@dataclass(frozen=True)
+@frozen()
 class Camera:
     """A camera: how directions fall onto a plane, and where the pixels lie on it.
 
@@ -83,7 +84,7 @@ class MountedCamera(NamedTuple):
     cam0_from_cam: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Rig:
     """Cameras that are fixed to each other: one, with depth or without, a pair, or more.
 
@@ -138,7 +139,7 @@ class Rig:
         return self.is_stereo or self.has_depth
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Frame:
     """Images of all cameras at one time.
 
@@ -180,7 +181,7 @@ def with_image0(frames: Iterable[Frame]) -> Iterator[Frame]:
     return (frame for frame in frames if frame.images[0] is not None)
 
 
-@dataclass(frozen=True)
+@frozen()
 class Skipped:
     """A frame that a source could not hand out, and why."""
 
@@ -189,7 +190,7 @@ class Skipped:
     reason: str
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Trajectory:
     """Poses in time.
 
@@ -210,7 +211,7 @@ class Trajectory:
         return np.asarray(self.world_from_cam[:, :3, 3], dtype=np.float64)
 
 
-@dataclass(frozen=True)
+@frozen()
 class ImuNoise:
     """Continuous-time noise of an inertial sensor, as Kalibr and EuRoC give it.
 
@@ -227,7 +228,7 @@ class ImuNoise:
     accel_walk: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Keypoints:
     """Image features as a struct of arrays; row i of each belongs together.
 
@@ -267,7 +268,7 @@ class State(StrEnum):
         return self is State.TRACKING
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class KeyframePose:
     """The optimised pose of a keyframe.
 
@@ -289,7 +290,7 @@ class KeyframePose:
     scale: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Sightings:
     """Of a keyframe: the `ids` of landmarks (n,), and their pixels `xy` (n, 2) in its image0."""
 
@@ -298,7 +299,7 @@ class Sightings:
     xy: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Landmarks:
     """Points of the map; row i of each belongs together.
 
@@ -330,7 +331,7 @@ class PredictedPose(NamedTuple):
     covariance: Floats | None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Estimate:
     """Result of one frame.
 

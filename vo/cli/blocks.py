@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import cache, update_wrapper
 from typing import (
     Annotated,
@@ -21,6 +21,8 @@ from typing import (
 )
 
 import typer
+
+from vo.base.frozen import frozen
 
 _EMPTY = inspect.Parameter.empty
 _T = TypeVar("_T")
@@ -61,7 +63,7 @@ def block(panel: str | None = None) -> Callable[[type[_T]], type[_T]]:
 
     def made(given: type[_T]) -> type[_T]:
         given.__panel__ = panel  # type: ignore[attr-defined]
-        return dataclass(frozen=True, kw_only=True)(given)
+        return frozen(kw_only=True)(given)
 
     return made
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, UnionType
@@ -13,6 +13,7 @@ from typing import Any, Literal, Self, Union, get_args, get_origin, get_type_hin
 import numpy as np
 
 from vo.base.errors import ConfigError
+from vo.base.frozen import frozen
 from vo.base.option_names import Flag
 from vo.base.records.metric_scale import ScaleSource
 from vo.base.settings import nearest
@@ -34,7 +35,7 @@ _NAMES: dict[Any, str] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class RunOptions:
     """Options of `run`, all optional; files may be given as text.
 

@@ -6,11 +6,12 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from vo.base.config import Config
 from vo.base.errors import OutputError, SourceError
 from vo.base.faults import Fault
+from vo.base.frozen import frozen
 from vo.base.option_names import with_flags
 from vo.base.printable import one_line
 from vo.base.records.estimated_camera import EstimatedCamera
@@ -44,7 +45,7 @@ _REFRESH_S = 3.0  # minimum time between interim summaries
 _REFRESH_RATIO = 0.02  # maximum ratio of the time that they take
 
 
-@dataclass(frozen=True)
+@frozen()
 class OpenedRun:
     """A recording that was opened for a run.
 

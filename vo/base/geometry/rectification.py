@@ -8,12 +8,13 @@ only positions of features are undistorted, which is cheaper and keeps every pix
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry import cameras
 from vo.base.geometry.pair_rectification import central_focal, check_baseline, is_wide, rectify_pair
 from vo.base.geometry.projection import Intrinsics
@@ -32,7 +33,7 @@ VIRTUAL_BASELINE_M = 0.3
 _MAX_RAY = np.tan(np.deg2rad(75.0))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class RectifiedRig:
     """Ideal pinhole cameras, left and right with the same intrinsics, and the way to them.
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Floats
 
 # Points are collinear if the second singular value of their covariance is at most this times the
@@ -13,7 +12,7 @@ from vo.base.types import Floats
 _COLLINEAR_RATIO = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Similarity:
     """A similarity: `p_in_target = scale * rotation @ p_in_source + translation`.
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from vo.base.frozen import frozen
 
 _CERTAIN = 10  # keyframes that agree on where two parts are: a stretch, of which no copy is known
 
 
-@dataclass(frozen=True)
+@frozen()
 class ClosedLoop:
     """An accepted loop, and the correction that followed.
 
@@ -62,7 +63,7 @@ def are_doubtful(loops: Sequence[ClosedLoop]) -> bool:
     return has_repairs or any(keyframes[pair] < _CERTAIN for pair in joined)
 
 
-@dataclass(frozen=True)
+@frozen()
 class Relocalisation:
     """A segment whose place in an older world was found while the camera was in it.
 
@@ -92,7 +93,7 @@ class Relocalisation:
     earlier_session: int | None = None
 
 
-@dataclass(frozen=True)
+@frozen()
 class MapUse:
     """The loaded map of a run, and which segments were merged with it.
 

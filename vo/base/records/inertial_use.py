@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from vo.base.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen()
 class InertialStates:
     """States of an inertial sensor at the newest keyframe, with standard deviations.
 
@@ -32,7 +32,7 @@ class InertialStates:
     misfit: float
 
 
-@dataclass(frozen=True)
+@frozen()
 class InertialUse:
     """An inertial sensor of a recording.
 

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
+from vo.base.frozen import frozen
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.records.snapshot import Snapshot
 from vo.base.types import Estimate
@@ -118,7 +119,7 @@ class WheelUse(NamedTuple):
     moved_m: float = 0.0
 
 
-@dataclass(frozen=True)
+@frozen()
 class ScaleFindings:
     """What sources of scale have measured.
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from vo.base.frozen import frozen
 from vo.base.types import Bools, Ints, Trajectory
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PosedFrames:
     """The frames of a run that have a pose, in time order.
 

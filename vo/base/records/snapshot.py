@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 
+from vo.base.frozen import frozen
 from vo.base.types import Bytes, Camera, Floats, Floats32, Landmarks
 
 
@@ -15,7 +16,7 @@ class FeatureState:
     NEW, TRACKED, REJECTED = 0, 1, 2
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class FurtherImage:
     """An image of another camera of a rig, of the same pinhole camera as that of `View.image0`.
 
@@ -30,7 +31,7 @@ class FurtherImage:
     cam0_from_image: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class View:
     """A tracked frame for display.
 
@@ -67,7 +68,7 @@ class View:
     further: tuple[FurtherImage, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Snapshot:
     """The newest frame and the local map, for display.
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
+from vo.base.frozen import frozen
 from vo.base.types import Floats
 from vo.engine.backend.window_problem import WindowFactor
 from vo.engine.inertial.prediction import Gap, InertialPredictor, RelativeMotion
@@ -20,7 +20,7 @@ class _Gaps(Protocol):
     def gaps(self) -> Sequence[Gap]: ...
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class MotionFactor:
     """A measured motion between two rows of the poses of a window."""
 

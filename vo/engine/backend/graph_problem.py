@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.places.records import Loop
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class GraphProblem:
     """Stored keyframes and loops between them, as plain arrays.
 

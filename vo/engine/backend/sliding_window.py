@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from vo.base.config import SmoothingConfig
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse, orthonormalised
 from vo.base.records.calibration_errors import CalibrationResidual
 from vo.base.stopwatch import Stopwatch, timed
@@ -30,7 +31,7 @@ from vo.engine.mapping.local_map import LocalMap
 _LATENCY_STEREO, _LATENCY_MONO = 2, 1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Window:
     """A submitted window, and what the rows of its problem stand for.
 
@@ -45,7 +46,7 @@ class Window:
     calibration_weight: int
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class WindowUpdate:
     """A result that was applied to the map.
 

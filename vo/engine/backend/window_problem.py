@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.projection import Intrinsics
 from vo.base.types import Bools, Floats, Ints
 
@@ -52,7 +53,7 @@ class FactorSource(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class WindowProblem:
     """A window of K poses, M points, N observations and further factors.
 

@@ -8,11 +8,11 @@ ones; others are handed to `vo.engine.odometry.Odometry`.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Bytes, Descriptors, Floats, Floats32, Ints, Keypoints
 
 
@@ -81,7 +81,7 @@ class PointDescriber(FeatureExtractor, Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class FeatureSet:
     """What a matcher needs to know of features; rows belong together.
 
@@ -126,7 +126,7 @@ def feature_set(
     return FeatureSet(at, k.octave, k.angle, k.descriptor, size, k.response)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Circles:
     """Search region: circles around the predicted positions of the query.
 
@@ -137,7 +137,7 @@ class Circles:
     radius_px: Floats
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class EpipolarSegments:
     """Search region: neighbourhoods of epipolar segments.
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from vo.base.compiling.signatures import usual_array
 from vo.base.faults import Fault, FaultKind
+from vo.base.frozen import frozen
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.scheduling import give_way
@@ -31,7 +32,7 @@ from vo.engine.frontend.stereo_time_offset import TimeOffsetEstimator
 from vo.engine.frontend.vertical_disparity import VerticalDisparityCorrection
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PreprocessedFrame:
     """A rectified frame.
 

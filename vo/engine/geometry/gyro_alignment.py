@@ -8,11 +8,12 @@ inertial navigation", 1971.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Floats, Ints
 
 _COARSE_S = 0.01
@@ -27,7 +28,7 @@ _MIRRORED = 0.5  # ratio of residuals of a mirrored and a right-handed frame, be
 _MIN_PLANAR = 0.02  # ratio of second to first singular value for a rotation that is determined
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class GyroAlignment:
     """How a gyroscope fits the rotations of a camera.
 

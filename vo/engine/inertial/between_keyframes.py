@@ -12,12 +12,13 @@ that are correlated in time as further states).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import adjoint, inverse, make_transform
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.frontend.preprocessing import PreprocessedFrame
@@ -92,7 +93,7 @@ class TrackedPoses:
         return found
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Woven:
     """A chain of n keyframes and frames between them.
 

@@ -7,11 +7,12 @@ scale may drift from keyframe to keyframe.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.geometry import so3
 from vo.engine.inertial.chain_solver import ChainSolution, Equations, empty_equations, solve_chain
@@ -80,7 +81,7 @@ class KnownBiases(NamedTuple):
         return self._replace(stamp_ns=stamp_ns, covariance=self.covariance + grown)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Estimate:
     """States, and what is known of their errors."""
 

@@ -7,11 +7,11 @@ from motion", 2014; Qin, Li and Shen, "VINS-Mono", 2018, sec. V-B; Campos et al.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
 from vo.engine.geometry import so3
@@ -55,7 +55,7 @@ WRONG = (
 """Reasons that do not go away with more motion."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Keyframes:
     """Poses of consecutive keyframes of one segment, and the samples between them."""
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Floats
 from vo.engine.inertial.estimation import Estimate
 from vo.engine.inertial.states import LOG_SCALE
@@ -14,7 +13,7 @@ _MAX_SIGMA_LOG_SCALE = 0.03  # of a later segment, from which it is joined
 _MAX_SIGMA_DOUBTED = 0.15  # where samples place keyframes, and it is that of frames between
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Node:
     """A keyframe."""
 
@@ -28,7 +27,7 @@ class Node:
     covariance: Floats | None
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class KeyframeStates:
     """Keyframes with their states."""
 

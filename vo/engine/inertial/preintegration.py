@@ -7,11 +7,11 @@ visual-inertial odometry", 2017, sec. VI; the sums over samples replace its recu
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Floats, ImuNoise
 from vo.engine.inertial.sample_kernels import integrated, turned
 
@@ -20,7 +20,7 @@ _FLOOR = (1e-5, 1e-4, 1e-4)  # rad, m/s, m
 _BRIDGED = (0.2, 2.0)  # rad/s and m/s², errors of samples that are interpolated
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Interval:
     """Samples of an inertial sensor from one time to another, both ends included."""
 
@@ -35,7 +35,7 @@ class Interval:
         return float(self.seconds[-1])
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Preintegrated:
     """Motion of a sensor in an interval, without gravity and velocity at its start."""
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.types import Bools, Floats
 from vo.engine.geometry import so3
 from vo.engine.inertial.preintegration import Preintegrated
@@ -79,7 +79,7 @@ class MapErrors(NamedTuple):
     drift: float = 0.0012  # change of the logarithm of the scale from one motion to the next
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Steps:
     """Measurements between n + 1 consecutive keyframes."""
 

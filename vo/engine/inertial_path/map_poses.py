@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.similarity import Similarity
 from vo.base.types import Floats, Trajectory
 from vo.engine.inertial.world_alignment import alignment_covariance, upright_alignment
@@ -16,7 +17,7 @@ from vo.engine.trajectory.builder import TrajectoryBuilder
 from vo.engine.trajectory.map_frame import scaled_covariance
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class EstimatedPose:
     """A keyframe of a single camera with its newest inertial pose."""
 

@@ -8,12 +8,12 @@ where no feature was detected in the other image.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Ints
 from vo.engine.geometry import sim3
@@ -37,7 +37,7 @@ class ComparedWindows(NamedTuple):
     different: int
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _View:
     """The image of a keyframe and the camera of its landmarks' pixels."""
 

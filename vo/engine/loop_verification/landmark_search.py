@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import MatchingConfig
+from vo.base.frozen import frozen
 from vo.base.geometry.projection import Intrinsics
 from vo.base.types import Bools, Camera, Floats, Ints
 from vo.engine.frontend.contracts import Circles, FeatureSet
@@ -33,7 +33,7 @@ _MIN_CORRELATION = 0.6
 _SIGMA_FACTOR = 2.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class KeyframePair:
     """Landmarks of two compared keyframes, of the earlier one with those of its neighbours.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Bytes, Camera, Descriptors, Floats, Floats32, Ints
 from vo.engine.geometry import sim3
@@ -18,7 +18,7 @@ _MAX_SIZE_RATIO = 2.5  # between the sizes of a landmark in both images
 _MAX_SIGMA = 0.3  # relative standard deviation of a depth, above which a landmark is left out
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class MergedLandmarks:
     """Landmarks of some keyframes; rows belong together, those of the first keyframe come first.
 

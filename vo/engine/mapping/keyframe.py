@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.types import Bools, Bytes, Floats, Ints, Keypoints
 from vo.engine.geometry.rolling_shutter import Velocity, at_middle_row
 
 
-@dataclass(frozen=True)
+@frozen()
 class FrameId:
     """Which frame a keyframe is.
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import MappingConfig
+from vo.base.frozen import frozen
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse, transform_points
@@ -26,7 +27,7 @@ from vo.engine.mapping.keyframe import Keyframe, NewObservations, without_dispar
 from vo.engine.mapping.local_map import LocalMap
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class StereoFeatures:
     """Features with a disparity; rows belong together.
 
@@ -118,7 +119,7 @@ class Search(NamedTuple):
     turns: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Pair:
     """Matched features of two keyframes; rows of the arrays belong together.
 

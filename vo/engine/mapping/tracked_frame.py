@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.quantiles import median
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.frontend.preprocessing import PreprocessedFrame
@@ -23,7 +23,7 @@ _MAX_DISAGREEING = 0.25
 _MIN_MEASURED_RATIO = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Observations:
     """Landmarks found in an image; rows belong together.
 
@@ -51,7 +51,7 @@ class Observations:
         return len(self.rows)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class TrackedFrame:
     """A frame with its pose in the map.
 

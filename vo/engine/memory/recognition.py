@@ -6,11 +6,12 @@ import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, TypeVar
 
 from vo.base.errors import OutputError
+from vo.base.frozen import frozen
 from vo.base.scheduling import give_way
 from vo.base.types import Camera
 from vo.engine.memory.search_pauses import SearchPauses
@@ -32,7 +33,7 @@ _MIN_SHARED = 15  # landmarks
 _MAX_CANDIDATES = 3  # that are verified per keyframe, so that its cost is bounded
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Recognised:
     """Result of the search for the place of a keyframe.
 

@@ -12,12 +12,11 @@ Broder et al., "Efficient query evaluation using a two-level retrieval process",
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
+from vo.base.frozen import frozen
 from vo.base.types import Bools, Floats32, Ints
 from vo.engine.places.vocabulary import Bag, Words
 
@@ -27,7 +26,7 @@ _BLOCK = 512  # numbers of bags in a block; below 2^16
 _MAX_WHOLE, _MAX_SEARCHED, _FIRST_PASS = 64, 16, 0.08
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Block:
     """Entries of `_BLOCK` bags, by word.
 

@@ -9,12 +9,13 @@ two frames `odom` and `map`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vo.base.frozen import frozen
 from vo.base.types import Bytes, Descriptors, Floats, Floats32, Ints
 from vo.engine.mapping.keyframe import FrameId
 
@@ -33,7 +34,7 @@ class PlaceKey(NamedTuple):
     keyframe: int
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PlaceLandmarks:
     """Landmarks as a keyframe observes them; rows belong together.
 
@@ -60,7 +61,7 @@ class PlaceLandmarks:
     patch: Bytes
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class PathKeyframe:
     """A keyframe of the path, when it is removed from the local map.
 
@@ -80,7 +81,7 @@ class PathKeyframe:
     is_doubted: bool = field(default=False, kw_only=True)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Place(PathKeyframe):
     """A keyframe with what it shows, as it is stored.
 
@@ -141,7 +142,7 @@ class Candidate(NamedTuple):
     score: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Loop:
     """A verified relation between two stored keyframes.
 
@@ -171,7 +172,7 @@ class Loop:
         return 1 if self.marker is None else self.inliers
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class RegisteredKeyframes:
     """Where the pose graph places keyframes; rows belong together.
 

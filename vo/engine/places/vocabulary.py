@@ -11,7 +11,6 @@ sequences", IEEE Transactions on Robotics 28(5), 2012 (DBoW2), sec. III and IV.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from vo.base.compiling.function import compiled
 from vo.base.compiling.signatures import usual_array
 from vo.base.errors import InputError
+from vo.base.frozen import frozen
 from vo.base.types import Bytes, Descriptors, Floats32, Ints
 from vo.engine.frontend.hamming_kernels import hamming
 
@@ -37,7 +37,7 @@ class Bag(NamedTuple):
     weight: Floats32
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Vocabulary:
     """A tree of binary descriptors; nodes in breadth-first order, without the root.
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vo.base.config import StartConfig
 from vo.base.failures import Failure, FailureReason
+from vo.base.frozen import frozen
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import inverse, so3_log, transform_points
 from vo.base.types import Floats, Ints
@@ -34,7 +34,7 @@ _MAX_DIFFERENCE_RAD = 0.02  # of the rotation by two images from that of the gyr
 _SEARCH_FACTOR = 4.0  # search radius in units of that of tracking
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class InitialPair:
     """Two frames that make a map.
 

@@ -6,7 +6,6 @@ Source: Mur-Artal et al., "ORB-SLAM", 2015, sec. IV (automatic map initialisatio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -14,6 +13,7 @@ import numpy as np
 
 from vo.base.config import StartConfig
 from vo.base.failures import Failure, FailureReason
+from vo.base.frozen import frozen
 from vo.base.geometry.projection import Intrinsics, PixelObservations
 from vo.base.geometry.quantiles import median
 from vo.base.types import Bools, Floats, Ints
@@ -36,7 +36,7 @@ _MIN_COMMON = 30  # points that an intermediate view must share with the two
 _MIN_GOOD_RATIO = 0.5  # of good points to inliers
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class TwoView:
     """A reconstruction from two views.
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Bytes, Floats, Ints
 from vo.engine.geometry.image_masks import used_at
@@ -17,7 +18,7 @@ from vo.engine.mapping.patch_search import BORDER_PX, MAX_SCALE
 _MAX_COUNT = 20  # times found, from which landmarks are ranked alike
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Visible:
     """Landmarks that should be in the image; rows belong together.
 

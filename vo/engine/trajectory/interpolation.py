@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import interpolate
 from vo.base.types import Floats, Ints
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class InterpolatedFrames:
     """Frames that are not tracked but interpolated between tracked ones.
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.geometry.transforms import adjoint, inverse
 from vo.base.types import Floats, Ints
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Anchor:
     """A keyframe that the pose graph has placed; others of its segment follow it.
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from vo.base.errors import OutputError
 from vo.base.files.complete_file import is_full_disk
+from vo.base.frozen import frozen
 from vo.base.types import Estimate, Rig, Trajectory
 from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, Recorder, TakeSnapshot
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
+@frozen()
 class Exports:
     """Files for other programs; None where a file is not requested.
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from vo.base.failures import Failure
+from vo.base.frozen import frozen
 from vo.base.geometry.rig_overlap import is_rig
 from vo.base.records.calibration_errors import (
     CalibrationErrors,
@@ -86,7 +86,7 @@ def mode_of(rig: Rig) -> RunMode:
     return "rgbd" if rig.has_depth else "stereo" if rig.is_stereo else "mono"
 
 
-@dataclass(frozen=True)
+@frozen()
 class RunFacts:
     """Properties of a run that are known before its first frame.
 
@@ -127,7 +127,7 @@ class Segment(NamedTuple):
     path_m: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@frozen(kw_only=True)
 class Summary:
     """Summary of a run, with the fields of `summary.json` in their order."""
 

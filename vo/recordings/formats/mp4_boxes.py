@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from vo.base.frozen import frozen
+
 _CONTAINERS = (b"trak", b"mdia", b"minf", b"stbl")
 _MAX_MOOV_BYTES = 256 * 2**20
 _MAX_SAMPLES, _MAX_SAMPLE_BYTES = 1_000_000, 2**24
@@ -32,7 +34,7 @@ class _Track:
     tables: dict[bytes, bytes] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@frozen()
 class Mp4:
     """The description of a film.
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from vo.base.errors import CalibrationError, NoCalibration, NoPairCalibration, SourceError, VoError
 from vo.base.faults import Fault, FaultKind
+from vo.base.frozen import frozen
 from vo.base.geometry.cameras import equirectangular
 from vo.base.geometry.rig_overlap import is_rig
 from vo.base.types import Mode, Rig, Trajectory
@@ -52,7 +52,7 @@ _MAX_TRIED = 20
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
+@frozen()
 class RecordingContents:
     """Contents of a recording, as listed by its format.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from vo.base.errors import SourceError
+from vo.base.frozen import frozen
 from vo.base.types import Bytes, Floats
 from vo.recordings.sources.images import Pixels, StoredImage, estimate_bit_depth
 
@@ -31,7 +31,7 @@ _MIN_SPAN = 0.25
 """Of the median range. Images with less, such as those of a closed shutter, do not count."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Stretch:
     """Range of pixel values that is spread over 8 bits, as it changes over a recording.
 
@@ -52,7 +52,7 @@ class Stretch:
         return np.asarray(np.clip(levels + 0.5, 0.0, 255.0), dtype=np.uint8)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class GreyLevels:
     """Conversion to 8 bits.
 
@@ -118,7 +118,7 @@ def _sample(images: Sequence[StoredImage]) -> list[Pixels]:
     return samples
 
 
-@dataclass(frozen=True)
+@frozen()
 class _Swapped:
     """An image of 16 bits whose bytes are exchanged."""
 

@@ -10,7 +10,6 @@ Prefetching, size checks, skipped frames and slices are implemented in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol, cast
 
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import read_bytes
+from vo.base.frozen import frozen
 from vo.base.images import png
 from vo.base.images.image_decoding import is_complete, quiet_opencv
 from vo.base.images.image_header import MAX_PIXELS, stated_size
@@ -66,7 +66,7 @@ class StoredImage(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@frozen()
 class ImageFile:
     """An image file."""
 

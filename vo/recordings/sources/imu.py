@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
+from vo.base.frozen import frozen
 from vo.base.noise_classes import NOISE_CLASSES
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.recordings.formats.calibration import Calibration, ImuCalibration
@@ -18,7 +19,7 @@ _MIN_NOISE = (1e-6, 1e-8, 1e-5, 1e-7)
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ImuSamples:
     """Samples of an inertial sensor, in its own frame.
 

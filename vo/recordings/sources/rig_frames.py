@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
+from vo.base.frozen import frozen
 from vo.base.types import Ints
 from vo.recordings.sources.images import Pixels, StoredImage
 from vo.recordings.sources.listing import Shot, median_interval_ns
@@ -20,7 +20,7 @@ _USUAL = 0.25  # quantile of the intervals of camera 0: it may have lost many im
 _MIN_SHARED = 0.5  # ratio of the images that belong to frames of the others, by clocks that agree
 
 
-@dataclass(frozen=True)
+@frozen()
 class MissingImage:
     """In place of an image of camera 0 that a frame of other cameras has not."""
 

@@ -7,13 +7,13 @@ import glob
 import logging
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
+from vo.base.frozen import frozen
 from vo.base.printable import counted
 from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.series_content import compare_series
@@ -45,7 +45,7 @@ class _Named(NamedTuple):
     stem: str
 
 
-@dataclass(frozen=True)
+@frozen()
 class Series:
     """Images of one camera, in their order.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.errors import SourceError
+from vo.base.frozen import frozen
 from vo.recordings.sources.assembly import RecordingContents
 from vo.recordings.sources.images import Pixels, StoredImage
 
@@ -70,7 +71,7 @@ class _DecodedOnce:
             return self._decoded[key]
 
 
-@dataclass(frozen=True)
+@frozen()
 class _Half:
     """One half of a stored image."""
 

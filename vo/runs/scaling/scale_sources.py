@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.errors import ConfigError, SourceError
+from vo.base.frozen import frozen
 from vo.base.records.metric_scale import ScaleSource
 from vo.recordings.sources.source import FrameStream, Recording
 
@@ -20,7 +20,7 @@ _MAX_HEIGHT_M = 100.0
 _MAX_ARM_M = 50.0
 
 
-@dataclass(frozen=True)
+@frozen()
 class ScaleOptions:
     """What a run was given to measure its scale.
 

@@ -8,7 +8,6 @@ import math
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.lib import format as npy
 
 from vo.base.errors import CalibrationError
 from vo.base.files.bounded_files import read_bytes, read_text
+from vo.base.frozen import frozen
 from vo.base.types import Floats, ImuNoise, Rig
 from vo.recordings.formats.calibration.markup import MAX_YAML_BYTES, sections_of
 
@@ -37,7 +37,7 @@ _NO_ARRAY = (
 """What numpy raises for an object, a header that is none, or brackets without end."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ImuCalibration:
     """What a calibration file contains about the inertial sensor.
 
@@ -53,7 +53,7 @@ class ImuCalibration:
     time_offset_s: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Calibration:
     """Content of a calibration file.
 
@@ -73,7 +73,7 @@ class Calibration:
     file: Path | None = None
 
 
-@dataclass(frozen=True)
+@frozen()
 class Document:
     """A calibration file of a format not yet detected.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from enum import StrEnum
 
 from vo.base.errors import SourceError
+from vo.base.frozen import frozen
 
 
 class LiveKind(StrEnum):
@@ -27,7 +27,7 @@ _SECRET = re.compile(r"(?<=[?&])([^=&\s]*(?:pass|pwd|token|key|secret|auth)[^=&\
 _MAX_CAMERAS = 2
 
 
-@dataclass(frozen=True)
+@frozen()
 class LiveAddress:
     """Where the images come from.
 
