@@ -14,7 +14,7 @@ import yaml
 import vo
 from vo.base.config import SmoothingConfig, load_config
 from vo.base.errors import ConfigError
-from vo.base.geometry.transforms import inverse, make_transform
+from vo.base.geometry.transforms import inverse
 from vo.base.types import Camera, Estimate, Floats, Rig, State
 from vo.engine.backend.lens_adjustment import WITH_CENTRE, KeyframeViews, Lens
 from vo.engine.geometry import so3
@@ -28,15 +28,29 @@ LENS = Lens(230.0, *MIDDLE.tolist(), -0.1, 0.012)
 INTERVAL_S = 0.05
 
 
-def pose(seconds: float) -> Floats:
+def poses(seconds: Floats) -> Floats:
     """Of a camera that is shaken while it moves."""
-    turn = [0.2 * np.sin(2.5 * seconds), 0.25 * np.cos(2.1 * seconds), 0.15 * np.sin(3.1 * seconds)]
-    place = [0.5 * seconds, 0.3 * np.sin(1.7 * seconds), 0.2 * np.sin(seconds)]
-    return make_transform(so3.exp(np.array([turn]))[0], np.array(place))
+    waves = [
+        0.2 * np.sin(2.5 * seconds),
+        0.25 * np.cos(2.1 * seconds),
+        0.15 * np.sin(3.1 * seconds),
+    ]
+    found = np.tile(np.eye(4), (len(seconds), 1, 1))
+    found[:, :3, :3] = so3.exp(np.column_stack(waves))
+    found[:, :3, 3] = np.column_stack(
+        [0.5 * seconds, 0.3 * np.sin(1.7 * seconds), 0.2 * np.sin(seconds)]
+    )
+    return found
+
+
+def pose(seconds: float) -> Floats:
+    return np.asarray(poses(np.array([seconds]))[0])
 
 
 def projected(points: Floats, world_from_cam: Floats) -> Floats:
-    seen = (points - world_from_cam[:3, 3]) @ world_from_cam[:3, :3]
+    """Pixels of points, each seen from its own pose, or all from one."""
+    rotations, places = world_from_cam[..., :3, :3], world_from_cam[..., :3, 3]
+    seen = np.einsum("...i,...ij->...j", points - places, rotations)
     ideal = seen[:, :2] / seen[:, 2:]
     square = (ideal**2).sum(axis=1, keepdims=True)
     return np.asarray(MIDDLE + LENS.focal * ideal * (1 + LENS.k1 * square + LENS.k2 * square**2))
@@ -50,26 +64,25 @@ def recorded(readout_s: float, noise_px: float) -> ReadoutFit:
     )
     keyframe, point, xy, path = [], [], [], []
     for frame in range(180):
-        at = pose(INTERVAL_S * frame)
+        each = pose(INTERVAL_S * frame)
         stamp_ns = 50_000_000 * frame
-        path.append(Estimate(frame, stamp_ns, State.TRACKING, None, 0, at, False, 0, 0, 0, ()))
+        path.append(Estimate(frame, stamp_ns, State.TRACKING, None, 0, each, False, 0, 0, 0, ()))
     for row in range(30):
         seconds = INTERVAL_S * 6 * row
         pixels = projected(points, pose(seconds))
-        for n, pixel in enumerate(pixels):
-            for _ in range(4):
-                late = readout_s * (pixel[1] / (2.0 * MIDDLE[1]) - 0.5)
-                pixel = projected(points[n : n + 1], pose(seconds + late))[0]
-            in_front = (
-                inverse(pose(seconds))[2, :3] @ points[n] + inverse(pose(seconds))[2, 3]
-            ) > 1
-            if in_front and (pixel > 0).all() and (pixel < 2.0 * MIDDLE).all():
-                keyframe.append(row)
-                point.append(n)
-                xy.append(pixel + noise_px * rng.standard_normal(2))
+        for _ in range(4):
+            late = readout_s * (pixels[:, 1] / (2.0 * MIDDLE[1]) - 0.5)
+            pixels = projected(points, poses(seconds + late))
+        to_camera = inverse(pose(seconds))
+        in_front = points @ to_camera[2, :3] + to_camera[2, 3] > 1
+        in_view = ((pixels > 0) & (pixels < 2.0 * MIDDLE)).all(axis=1)
+        seen = np.flatnonzero(in_front & in_view)
+        keyframe += [row] * len(seen)
+        point += seen.tolist()
+        xy += (pixels[seen] + noise_px * rng.standard_normal((len(seen), 2))).tolist()
     rows = [6 * row for row in range(30)]
-    poses = np.stack([pose(INTERVAL_S * n) for n in rows])
-    views = KeyframeViews(MIDDLE, poses, points, np.array(keyframe), np.array(point), np.array(xy))
+    at = poses(INTERVAL_S * np.array(rows))
+    views = KeyframeViews(MIDDLE, at, points, np.array(keyframe), np.array(point), np.array(xy))
     views = views.part(0, 30)
     return ReadoutFit(views, velocities(path, rows), INTERVAL_S, SmoothingConfig(), WITH_CENTRE)
 
