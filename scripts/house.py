@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import ast
 import json
-import tokenize
 from collections import Counter
 from pathlib import Path
 
@@ -19,22 +18,23 @@ KINDS = ("code", "docstring", "comment", "blank")
 def line_kinds(path: Path) -> Counter[str]:
     """Number of lines of a module by kind; a comment behind code is code."""
     text = path.read_text(encoding="utf-8")
-    kind_of = dict.fromkeys(range(1, len(text.splitlines()) + 1), "blank")
-    with tokenize.open(path) as file:
-        for token in tokenize.generate_tokens(file.readline):
-            if token.type in (tokenize.NL, tokenize.NEWLINE, tokenize.ENDMARKER):
-                continue
-            kind = "comment" if token.type == tokenize.COMMENT else "code"
-            for line in range(token.start[0], token.end[0] + 1):
-                if line in kind_of and kind_of[line] != "code" and token.string.strip():
-                    kind_of[line] = kind
+    lines = map(str.strip, text.splitlines())
+    kinds = ["comment" if line[:1] == "#" else "code" if line else "blank" for line in lines]
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    docstrings = []
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, documented) and ast.get_docstring(node, clean=False) is not None:
-            string = node.body[0]
-            lines = range(string.lineno, (string.end_lineno or string.lineno) + 1)
-            kind_of.update(dict.fromkeys(lines, "docstring"))
-    return Counter(kind_of.values())
+            docstrings.append(node.body[0])
+        elif isinstance(node, ast.Constant | ast.JoinedStr) and node.end_lineno != node.lineno:
+            _mark(kinds, node, "code")
+    for string in docstrings:
+        _mark(kinds, string, "docstring")
+    return Counter(kinds)
+
+
+def _mark(kinds: list[str], node: ast.expr | ast.stmt, kind: str) -> None:
+    first, last = node.lineno - 1, node.end_lineno or node.lineno
+    kinds[first:last] = [kind] * (last - first)
 
 
 def counts(root: Path) -> dict[str, dict[str, int]]:
@@ -44,9 +44,10 @@ def counts(root: Path) -> dict[str, dict[str, int]]:
     places["vo"] = list((root / "vo").rglob("*.py"))
     for name in ("data_synth", "scripts", "tests"):
         places[name] = list((root / name).rglob("*.py"))
-    found = {}
+    found: dict[str, dict[str, int]] = {}
+    kinds = {file: line_kinds(file) for files in places.values() for file in files}
     for name, files in places.items():
-        total = sum((line_kinds(file) for file in files), Counter[str]())
+        total = sum((kinds[file] for file in files), Counter[str]())
         found[name] = {
             "files": len(files),
             **{kind: total[kind] for kind in KINDS},

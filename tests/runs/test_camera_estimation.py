@@ -109,8 +109,10 @@ def test_a_camera_that_only_turns_shows_no_focal_length(tmp_path: Path) -> None:
 
 
 def test_a_pair_is_estimated_where_its_baseline_is_given(
-    images: tuple[Path, Path], tmp_path: Path
+    images: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Of the left camera, the first test above has tried all guesses; here two of the eight do.
+    monkeypatch.setattr("vo.runs.camera_estimation._FIELDS_DEG", (80.0,))
     folder, whole = images
     pair = tmp_path / "pair"
     shutil.copytree(folder, pair / "left")

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from marker_views import Placed, render
-from room_course import BLACK, CHANGED, END, LENGTH_M, run_rounds
+from room_course import BLACK, CHANGED, DICTIONARY, END, LENGTH_M, run_rounds
 
 from data_synth.frame_rendering import render_frames
 from data_synth.plan import make_plan
@@ -73,7 +73,7 @@ def changed_room(rounds: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
         pose = inverse(world_from_cam) @ world_from_marker
         is_seen = pose[2, 3] > 0.4 and pose[:3, 2] @ pose[:3, 3] < -0.05
         if is_seen and not BLACK <= n < CHANGED:
-            levels = render(camera, Placed("4X4_50", 7, LENGTH_M, pose), image)
+            levels = render(camera, Placed(DICTIONARY, 7, LENGTH_M, pose), image)
             blurred = cv2.GaussianBlur(levels, (0, 0), 0.5)
             image = np.clip(np.rint(blurred), 0, 255).astype(np.uint8)
         cv2.imwrite(str(path), image)

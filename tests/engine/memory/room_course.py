@@ -17,7 +17,7 @@ from vo.runs.run_recording import run
 FILES = ("trajectory.tum", "causal.tum", "poses.csv", "covariance.csv")
 END = 190  # frames: a round takes 126
 BLACK, CHANGED = 112, 124  # first black frame, and the first of the place in negative
-LENGTH_M = 0.3  # of markers
+LENGTH_M, DICTIONARY = 0.3, "4X4_50"  # of markers
 
 
 def run_rounds(recording: Path, output: Path, *settings: str, **options: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from marker_course import LAP, SEVEN, THREE, TRUTH, marker_at, simulate
-from room_course import LENGTH_M, ate, run_rounds
+from room_course import DICTIONARY, LENGTH_M, ate, run_rounds
 
 from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import inverse
@@ -127,7 +127,7 @@ def test_a_marker_leads_back_to_a_place_that_looks_different(
     changed_room: Path, tmp_path: Path
 ) -> None:
     output = tmp_path / "out"
-    options = ScaleOptions(marker_length_m=LENGTH_M)
+    options = ScaleOptions(marker_length_m=LENGTH_M, marker_dictionary=DICTIONARY)
     summary = run_rounds(changed_room, output, "memory.loops=true", end=172, scale=options)
     assert {(loop["kind"], loop["marker"]) for loop in summary["loops"]} == {("merge", 7)}
     (segment,) = summary["segments"]

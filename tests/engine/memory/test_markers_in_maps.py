@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from marker_course import LAP, SEVEN, THREE, TRUTH, Course, marker_at, simulate
-from room_course import CHANGED, LENGTH_M, run_rounds
+from room_course import CHANGED, DICTIONARY, LENGTH_M, run_rounds
 from typer.testing import CliRunner
 
 from vo.base.geometry.similarity import umeyama
@@ -23,7 +23,7 @@ from vo.recordings.formats.trajectory import read_tum
 from vo.runs.scaling.scale_sources import ScaleOptions
 from vo.tools.maps.contents import map_contents
 
-MARKERS = ScaleOptions(marker_length_m=LENGTH_M)
+MARKERS = ScaleOptions(marker_length_m=LENGTH_M, marker_dictionary=DICTIONARY)
 ONE = marker_at(TRUTH, 75)
 
 

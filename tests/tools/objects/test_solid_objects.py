@@ -132,15 +132,18 @@ def test_what_is_missing_is_said(folder: Path, tmp_path: Path) -> None:
         objects.learn("kettle", folder / "run")
     with pytest.raises(InputError, match="radius is -1; give a length above 0"):
         objects.learn("cup", folder / "run", radius=-1.0)
-    with pytest.raises(InputError, match=r"show 0 points of an object, 60 are needed"):
-        objects.learn("cup", folder / "run", radius=0.001)
     with pytest.raises(SourceError, match="has no summary.json"):
         objects.learn("cup", folder / "walk")
     result = CliRunner().invoke(app, ["recognize", "find", "a.png", "--radius", "1"])
     assert "belongs to `vo recognize learn NAME RUN`" in result.output
 
 
-def test_a_run_that_does_not_go_around_is_refused(folder: Path, tmp_path: Path) -> None:
-    vo.run(folder / "orbit", tmp_path / "short", end=4)
+def test_runs_that_do_not_show_the_object_from_around_are_refused(
+    folder: Path, tmp_path: Path
+) -> None:
+    vo.run(folder / "orbit", tmp_path / "short", end=7)
+    with pytest.raises(InputError, match=r"show 0 points of an object, 60 are needed"):
+        vo.ObjectDatabase().learn("cup", tmp_path / "short", radius=0.001)
+    vo.run(folder / "orbit", tmp_path / "shorter", end=4)
     with pytest.raises(InputError, match="walk around the object"):
-        vo.ObjectDatabase().learn("cup", tmp_path / "short")
+        vo.ObjectDatabase().learn("cup", tmp_path / "shorter")
