@@ -40,6 +40,16 @@ def _worlds_are_built_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _commands_are_built_once() -> Iterator[None]:
+    """Of 26 commands a call needs one: to build them all takes longer than most of the calls."""
+    from typer import testing
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(testing, "_get_command", lru_cache(testing._get_command))
+        yield
+
+
 @pytest.fixture(scope="session")
 def synthetic_stereo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty stereo frames of a walk that is under way, as EuRoC; not to be written to.

@@ -63,15 +63,15 @@ def blocks(page: Path) -> list[str]:
     return [re.split(r"\s+#\s", line)[0] for line in map(str.strip, lines) if line[:3] == "vo "]
 
 
+COMMAND: Any = typer.main.get_command(app)
 CALLS = [(page.name, line) for page in PAGES for line in dict.fromkeys(blocks(page))]
 
 
 @pytest.mark.parametrize(("page", "line"), CALLS)
 def test_a_command_is_a_whole_call(page: str, line: str) -> None:
     """Also values of options, and arguments that must be given."""
-    command: Any = typer.main.get_command(app)
     name, *words = shlex.split(re.split(r" > | \|", line)[0])[1:]
-    command.commands[name].make_context(name, words, resilient_parsing=False).close()
+    COMMAND.commands[name].make_context(name, words, resilient_parsing=False).close()
 
 
 # What is None without a calibration or a fit may be used. Other options are those of

@@ -60,12 +60,12 @@ def test_an_empty_value_of_a_setting_is_checked_by_the_settings(tmp_path: Path) 
     assert "features.count" in result.stderr
 
 
-COMMANDS = sorted(get_command(app).commands)  # type: ignore[attr-defined]
+COMMANDS = get_command(app).commands  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_every_argument_has_help_and_a_metavar(name: str) -> None:
-    command = get_command(app).commands[name]  # type: ignore[attr-defined]
+    command = COMMANDS[name]
     for parameter in command.params:
         assert parameter.help.endswith("."), parameter.name
         choice_or_flag = getattr(parameter, "is_flag", False) or parameter.name in CHOICES
@@ -73,9 +73,9 @@ def test_every_argument_has_help_and_a_metavar(name: str) -> None:
             assert re.fullmatch(METAVAR, parameter.metavar or ""), parameter.name
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_help_begins_with_one_sentence_and_contains_an_example(name: str) -> None:
-    command = get_command(app).commands[name]  # type: ignore[attr-defined]
+    command = COMMANDS[name]
     first, _, rest = command.help.partition("\n\n")
     assert first.endswith(".") and first.count(". ") == 0
     assert f"  vo {name}" in rest
@@ -83,7 +83,7 @@ def test_help_begins_with_one_sentence_and_contains_an_example(name: str) -> Non
 
 @pytest.mark.parametrize("name", ["run", "info", "convert", "calibrate", "eval", "synth"])
 def test_options_are_grouped(name: str) -> None:
-    command = get_command(app).commands[name]  # type: ignore[attr-defined]
+    command = COMMANDS[name]
     ungrouped = {
         parameter.name
         for parameter in command.params

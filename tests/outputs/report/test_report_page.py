@@ -20,6 +20,7 @@ from vo.base.types import Trajectory
 from vo.cli.app import app
 from vo.outputs.evaluation.evaluation import evaluate
 from vo.outputs.evaluation.inputs import load_inputs
+from vo.outputs.report import markup, sections
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.markup import duration, length, number, percentage
 from vo.outputs.report.run_folder import read_run
@@ -68,6 +69,13 @@ def make(*arguments: str | Path, expect: int = 0) -> str:
 def page_of(tmp_path: Path, *arguments: str | Path) -> Page:
     make(*arguments, "-o", tmp_path / "report.html")
     return Page(tmp_path / "report.html")
+
+
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn and not converted to SVG, which takes most of the time of a page."""
+    empty = markup.Markup("<svg></svg>")
+    monkeypatch.setattr(sections, "inline_svg", lambda figure, prefix, caption: empty)
 
 
 def test_a_page_contains_the_numbers_of_its_run(
@@ -165,6 +173,7 @@ def test_times_without_tracking_are_shaded(own_run: Path, tmp_path: Path) -> Non
     assert ">no pose</text>" in page.source
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_runs_of_different_recordings_have_separate_path_figures(
     own_run: Path, tmp_path: Path
 ) -> None:
@@ -181,6 +190,7 @@ def views_of(page: Page) -> list[Any]:
     return [json.loads(text) for text in found]
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_the_view_has_the_values_of_the_run(
     report_runs: list[Path], synthetic_stereo: Path, tmp_path: Path
 ) -> None:
@@ -302,6 +312,7 @@ def segment_records(
     ]
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_each_segment_is_aligned_separately(own_run: Path, tmp_path: Path) -> None:
     segments = segment_records(own_run, [(0, 7), (8, 13)], frames=[8, 6])
     change_summary(own_run, segments=segments)
@@ -332,6 +343,7 @@ def test_segments_of_a_world_may_have_another_one_in_between(own_run: Path) -> N
     assert read_run(own_run).segment_of(stamps).tolist() == numbers
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_killed_run_is_shown(own_run: Path, tmp_path: Path) -> None:
     for name in ("trajectory.tum", "causal.tum", "covariance.csv", "frames.csv"):
         (own_run / name).rename(own_run / f"{name}.partial")
@@ -389,6 +401,7 @@ def test_a_run_without_a_pose_is_shown(own_run: Path, tmp_path: Path) -> None:
     assert "plot-path" not in page.ids
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_ground_truth_may_be_given_or_missing(
     own_run: Path, synthetic_stereo: Path, tmp_path: Path
 ) -> None:
@@ -449,6 +462,7 @@ def test_a_wrong_value_in_a_list_is_named(
     assert told in make(own_run, expect=1)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_report_replaces_only_html_pages(own_run: Path, tmp_path: Path) -> None:
     before = (own_run / "trajectory.tum").read_bytes()
     output = make(own_run, "-o", own_run / "trajectory.tum", expect=1)
@@ -458,6 +472,7 @@ def test_a_report_replaces_only_html_pages(own_run: Path, tmp_path: Path) -> Non
         make(own_run, "-o", tmp_path / "r.html", "--no-images")
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize("name", ["frames.csv", "covariance.csv", "trajectory.tum", "causal.tum"])
 def test_only_a_truncated_line_is_ignored(own_run: Path, tmp_path: Path, name: str) -> None:
     whole = (own_run / name).read_bytes()
