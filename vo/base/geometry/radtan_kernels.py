@@ -30,7 +30,7 @@ def distort(k, rays, reach):  # type: ignore[no-untyped-def]
     for n in range(len(rays)):
         x, y = rays[n, 0], rays[n, 1]
         moved_x, moved_y, _, _, _ = _moved(k, x, y)
-        inside = not np.hypot(x, y) > reach
+        inside = _is_within(x, y, reach) or not np.hypot(x, y) > reach
         moved[n, 0], moved[n, 1] = (moved_x, moved_y) if inside else (np.nan, np.nan)
     return moved
 
@@ -128,7 +128,15 @@ def _radial(k, r2):  # type: ignore[no-untyped-def]
 @compiled(error_model="numpy")
 def _clipped(x, y, reach):  # type: ignore[no-untyped-def]
     """Point moved to the radius `reach` if it is beyond, where the polynomial decreases."""
+    if _is_within(x, y, reach):
+        return x, y
     ratio = reach / max(np.hypot(x, y), 1e-300)
     if ratio >= 1.0:
         ratio = 1.0
     return x * ratio, y * ratio
+
+
+@compiled(error_model="numpy")
+def _is_within(x, y, reach):  # type: ignore[no-untyped-def]
+    """Whether a point is within the radius `reach` for certain; `hypot` takes half of the time."""
+    return x * x + y * y < 0.99 * reach * reach

@@ -152,10 +152,11 @@ class RectifiedRig:
         if self.lens is None:
             return at
         rays = cameras.normalise(self.lens, at)
-        if self.k1_error != 0.0:  # the corrected lens may have a smaller reach
-            beyond = np.isnan(rays).any(axis=1)
+        x, y = rays.T
+        beyond = np.isnan(x) | np.isnan(y)
+        if self.k1_error != 0.0 and beyond.any():  # the corrected lens may have a smaller reach
             rays[beyond] = cameras.normalise(_with_k1(self.lens, -self.k1_error), at[beyond])
-        rays[np.linalg.norm(rays, axis=1) > _MAX_RAY] = np.nan
+        rays[np.sqrt(x * x + y * y) > _MAX_RAY] = np.nan
         return np.asarray(rays * (self.fx, self.fy) + (self.cx, self.cy))
 
     def distort(self, xy: Floats) -> Floats:
