@@ -18,7 +18,7 @@ import numpy as np
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.quantiles import median
-from vo.base.geometry.transforms import inverse, make_transform
+from vo.base.geometry.transforms import inverse, whole_transforms
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend import block_kernels
 from vo.engine.backend.bundle import Bundle, views_of
@@ -205,9 +205,8 @@ def _chosen(equations: tuple[Floats, Floats], columns: tuple[int, ...]) -> tuple
 
 def _moved(at: AdjustedLens, poses: Floats, by_column: Mapping[int, float]) -> AdjustedLens:
     k1, k2, log_focal, cx, cy = (float(by_column.get(n, 0.0)) for n in WITH_CENTRE)
-    motion = np.stack(
-        [make_transform(so3.exp(p[None, :3])[0], p[3:]) for p in poses.reshape(-1, 6)]
-    )
+    steps = poses.reshape(-1, 6)
+    motion = whole_transforms(np.concatenate([so3.exp(steps[:, :3]), steps[:, 3:, None]], axis=2))
     world_from_cam = at.views.world_from_cam.copy()
     world_from_cam[1:] = world_from_cam[1:] @ motion
     focal = at.lens.focal * float(np.exp(np.clip(log_focal, -_MAX_LOG_FOCAL, _MAX_LOG_FOCAL)))
