@@ -68,14 +68,16 @@ class TornImageDetector:
         below = residuals.row > rows[:, None]
         parts = np.count_nonzero(below, axis=1)
         weight = 1.0 / (residuals.sigma[:n] ** 2 * (1.0 + residuals.squares(pose.left) / 9.0))
-        gain = np.zeros(len(rows))
-        for i in np.flatnonzero((parts >= _MIN_PART) & (n - parts >= _MIN_PART)):
-            columns = _both(np.asarray(below[i], np.float64))
-            shared = pose.weighted @ columns
-            own = np.eye(2) * weight[below[i]].sum()
-            left = own - shared.T @ np.linalg.solve(pose.information, shared)
-            pull = columns.T @ (np.tile(weight, 2) * pose.left)
-            gain[i] = pull @ np.linalg.solve(left + 1e-9 * own, pull)
+        usable = np.flatnonzero((parts >= _MIN_PART) & (n - parts >= _MIN_PART))
+        gain, part = np.zeros(len(rows)), np.asarray(below[usable].T, np.float64)
+        # Shifts along x and along y of what is below each row.
+        shared = np.stack([pose.weighted[:, :n] @ part, pose.weighted[:, n:] @ part], axis=-1)
+        taken = np.linalg.solve(pose.information, shared.reshape(6, -1)).reshape(shared.shape)
+        own = (weight @ part)[:, None, None] * np.eye(2)
+        left = own - np.einsum("kni,knj->nij", shared, taken)
+        pull = ((weight * pose.left.reshape(2, n)) @ part).T[:, :, None]
+        steps = np.linalg.solve(left + 1e-9 * own, pull)
+        gain[usable] = np.sum(pull * steps, axis=(1, 2))
         return float(rows[np.argmax(gain)])
 
 
