@@ -174,8 +174,8 @@ def _point_normal(at, first, last, poses, views):  # type: ignore[no-untyped-def
     cost = 0.0
     n00 = n11 = n22 = n10 = n20 = n21 = 0.0
     r0 = r1 = r2 = 0.0
-    for a in range(first, last):
-        pose = poses[camera[a]]
+    for a in range(np.uintp(first), np.uintp(last)):
+        pose = poses[np.uintp(camera[a])]
         x, y, z = to_camera(pose, at[0], at[1], at[2])
         if z < MIN_DEPTH:
             return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

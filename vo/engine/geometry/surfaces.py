@@ -82,18 +82,19 @@ def _slopes(xy, inverse_depth, of):  # type: ignore[no-untyped-def]
     for i in range(len(of)):
         n = of[i]
         x, y, by_own = xy[n, 0], xy[n, 1], 1.0 / inverse_depth[n]
-        count = 0
+        count = np.uintp(0)
         for r in range(max(row[n] - 1, 0), row[n] + 2):
             begin = r * columns + max(column[n] - 1, 0)
             end = r * columns + min(column[n] + 2, columns)
             if begin >= len(first) - 1:
                 break
-            for k in range(first[begin], first[min(end, len(first) - 1)]):
+            stop = np.uintp(first[min(end, len(first) - 1)])
+            for k in range(np.uintp(first[begin]), stop):
                 right, down, nearer = u[k] - x, v[k] - y, sorted_inverse[k] * by_own - 1.0
                 near = (right * right + down * down <= _RADIUS_PX**2) & (order[k] != n)
                 dx[count], dy[count], more[count] = right, down, nearer
                 # Without a branch: rejected neighbours are overwritten by the next.
-                count += int(near & (abs(nearer) <= _MAX_DIFFERENCE))
+                count += np.uintp(near & (abs(nearer) <= _MAX_DIFFERENCE))
         slopes[i, 0], slopes[i, 1] = _fitted(dx[:count], dy[:count], more[:count])
     return slopes
 
