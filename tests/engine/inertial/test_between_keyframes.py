@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -22,9 +23,10 @@ from vo.base.geometry.transforms import inverse, se3_exp
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.inertial.between_keyframes import TrackedPose, TrackedPoses
 from vo.engine.inertial.chain import InertialChain
+from vo.engine.inertial.estimation import estimate_states, first_prior
 from vo.engine.inertial.keyframe_states import Node
 from vo.engine.inertial.samples import SampleReader
-from vo.engine.inertial.states import LOG_SCALE
+from vo.engine.inertial.states import LOG_SCALE, POSITION
 
 _RUNS, _KEYFRAMES, _PERIOD_S = 20, 12, 0.6
 _NOISE = ImuNoise(2e-4, 1e-5, 2e-2, 1e-4)
@@ -32,10 +34,10 @@ _BOB_M, _BOB_HZ = 0.03, 1.8  # steps of somebody who walks
 _FRAMES_NS = 100_000_000
 _SCALE = 0.5
 _TURN, _MOVE = 2e-4, 1e-3  # standard deviations from keyframe to keyframe, in rad and m
-# Of tracked poses, as stated; errors of their own are 0.8 of that, and 0.51 of them is left in the
+# Of tracked poses, as stated; errors of their own are 0.5 of that, and 0.51 of them is left in the
 # next frame.
 _TRACKED = np.array([1e-4] * 3 + [5e-4 / _SCALE] * 3)
-_OWN, _KEPT = 0.8, 0.513
+_OWN, _KEPT = 0.5, 0.513
 
 
 class _Found(NamedTuple):
@@ -88,7 +90,7 @@ def _tracked(
             own = new if n == 1 else _KEPT * own + np.sqrt(1.0 - _KEPT**2) * new
             ends = _poses(np.array([begin, begin + n * _FRAMES_NS]), bob_m)
             motion = _in_map(inverse(ends[0]) @ ends[1]) @ se3_exp(errors * own)
-            place = 10 * keyframe + n, begin + n * _FRAMES_NS, keyframe
+            place = 10 * keyframe + n, begin + n * _FRAMES_NS, 10 * keyframe
             poses.add(TrackedPose(*place, motion, np.diag(_TRACKED**-2.0)))
     return poses
 
@@ -154,12 +156,59 @@ def test_what_was_found_at_the_end_stays() -> None:
     assert (sigma[1] < 0.7 * sigma[0]).all()
 
 
+def test_the_path_keeps_its_shape() -> None:
+    solved = [_chain(0, t).finish() for t in (None, _tracked(np.random.default_rng(100)))]
+    before, after = (each.estimate.states for each in solved if each is not None)
+    unit = np.exp(after.log_scale - before.log_scale)
+    assert np.ptp(unit) < 1e-12
+    assert abs(unit[0] - 1.0) > 0.003
+    steps = [np.linalg.norm(np.diff(each.position, axis=0), axis=1) for each in (before, after)]
+    np.testing.assert_allclose(steps[1], unit[0] * steps[0], rtol=1e-9)
+    turns = [np.swapaxes(s.rotation[:-1], 1, 2) @ s.rotation[1:] for s in (before, after)]
+    np.testing.assert_allclose(turns[0], turns[1], atol=1e-12)
+
+
+def test_states_are_those_of_the_most_probable_drift() -> None:
+    solved = _chain(1, None).smoothed()
+    assert solved is not None
+    found = solved.estimate
+    assert found.errors.drift < found.steps.errors.drift  # covariances are those of the larger
+    prior = first_prior(found.states.rows(slice(0, 1)), is_metric=False)
+    drifts = []
+    for errors in (found.errors, found.steps.errors):
+        again = estimate_states(found.states, replace(found.steps, errors=errors), prior, _NOISE)
+        drifts.append(np.ptp(again.states.log_scale))
+    drift = np.ptp(found.states.log_scale)
+    assert drift == pytest.approx(drifts[0], rel=0.05)
+    assert drifts[1] > 2.0 * drift
+
+
+def test_covariances_lose_what_frames_tell_of_the_scale() -> None:
+    solved = [_chain(0, t).finish() for t in (None, _tracked(np.random.default_rng(100)))]
+    before, after = (each.estimate.covariance for each in solved if each is not None)
+    assert (np.linalg.eigvalsh(before - after) > -1e-9 * np.abs(before).max()).all()
+    assert (np.linalg.eigvalsh(after[1:]) > 0.0).all()
+    sigma = [np.sqrt(np.trace(c[-1, POSITION, POSITION])) for c in (before, after)]
+    assert sigma[1] < 0.97 * sigma[0]
+
+
+def test_frames_are_where_the_path_has_them_at_the_end() -> None:
+    poses, path = _tracked(np.random.default_rng(0)), world_from_cam(keyframe_stamps(22, 0.1))
+    poses.follow(np.arange(1, 16), path[1:16])  # neither the first keyframe nor later frames
+    first, second, third = (poses.by_keyframe()[k] for k in (0, 10, 20))
+    assert_allclose = np.testing.assert_allclose
+    assert_allclose([p.keyframe_from_cam for p in second], inverse(path[10]) @ path[11:16])
+    kept = _tracked(np.random.default_rng(0)).by_keyframe()
+    for before, after in ((kept[0], first), (kept[20], third)):
+        assert_allclose([p.keyframe_from_cam for p in before], [p.keyframe_from_cam for p in after])
+
+
 def test_frames_that_are_tracked_anew_are_forgotten() -> None:
     poses = _tracked(np.random.default_rng(0))
     poses.forget_from(13)
     kept = poses.by_keyframe()
-    assert sorted(kept) == [0, 1]
-    assert [pose.frame_index for pose in kept[1]] == [11, 12]
+    assert sorted(kept) == [0, 10]
+    assert [pose.frame_index for pose in kept[10]] == [11, 12]
 
 
 @pytest.mark.parametrize(("rate_hz", "expected"), [(10, 10), (30, 10), (200, 11), (4, 4)])

@@ -34,14 +34,14 @@ from vo.engine.inertial.estimation import (
 from vo.engine.inertial.factor_kernels import add_factors
 from vo.engine.inertial.keyframe_states import KeyframeStates, Node
 from vo.engine.inertial.preintegration import Interval, Preintegrated, preintegrate
-from vo.engine.inertial.states import GRAVITY, LOG_SCALE, WIDTH, States, Steps
+from vo.engine.inertial.states import GRAVITY, LOG_SCALE, WIDTH, MapErrors, States, Steps
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.tracked_frame import TrackedFrame
 
 _PERIOD_NS = 95_000_000  # from one such frame to the next at least: 0.1 s by stamps that vary
 # Errors of their own: standard deviations in those that tracking states for independent errors of
 # all landmarks, and the time after which 1/e is left of them.
-_ERROR, _KEPT_S = 0.8, 0.15
+_ERROR, _KEPT_S = 0.5, 0.15
 _EXACT = np.diag(np.full(6, 1e-14))  # covariance of those of keyframes
 _LAST_STEP = 0.1  # of the iterations, in standard deviations
 _MAX_MISFIT = 1.5
@@ -55,7 +55,7 @@ class TrackedPose(NamedTuple):
 
     frame_index: int
     stamp_ns: int
-    keyframe: int  # id of the one before it
+    keyframe: int  # number of the frame of the one before it
     keyframe_from_cam: Floats  # (4, 4) in units of the map
     information: Floats  # (6, 6) tangent on the right, rotation first
 
@@ -72,7 +72,8 @@ class TrackedPoses:
         if self._is_metric or tracked.information is None:
             return
         motion = inverse(newest.world_from_cam) @ tracked.world_from_cam
-        self.add(TrackedPose(frame.index, frame.stamp_ns, newest.id, motion, tracked.information))
+        place = frame.index, frame.stamp_ns, newest.frame.index
+        self.add(TrackedPose(*place, motion, tracked.information))
 
     def add(self, pose: TrackedPose) -> None:
         """Keep a frame, if the one before it is not too near."""
@@ -85,8 +86,16 @@ class TrackedPoses:
         """Forget a frame and all after it."""
         self._poses = [pose for pose in self._poses if pose.frame_index < frame_index]
 
+    def follow(self, frames: Ints, world_from_cam: Floats) -> None:
+        """Take the poses of a path, which windows have improved since; n numbers of its frames."""
+        row = {frame: n for n, frame in enumerate(frames.tolist())}
+        for n, pose in enumerate(self._poses):
+            if pose.keyframe in row and pose.frame_index in row:
+                first, last = world_from_cam[[row[pose.keyframe], row[pose.frame_index]]]
+                self._poses[n] = pose._replace(keyframe_from_cam=inverse(first) @ last)
+
     def by_keyframe(self) -> dict[int, list[TrackedPose]]:
-        """All of them by id of the keyframe before them."""
+        """All of them by number of the frame of the keyframe before them."""
         found: dict[int, list[TrackedPose]] = {}
         for pose in self._poses:
             found.setdefault(pose.keyframe, []).append(pose)
@@ -98,6 +107,7 @@ class _Woven:
     """A chain of n keyframes and frames between them.
 
     Attributes:
+        world_from_cam: (n, 4, 4) poses by images.
         states: n, to begin with.
         steps: between them; the scale of their covariances is that of `errors`.
         errors: of the motions by images, as of `image_errors`.
@@ -106,12 +116,19 @@ class _Woven:
         keyframes: rows of the keyframes.
     """
 
+    world_from_cam: Floats
     states: States
     steps: Steps
     errors: tuple[Floats, Floats]
     own: Floats
     kept: Floats
     keyframes: Ints
+
+    def with_errors(self, errors: MapErrors, solved: KeyframeStates) -> _Woven:
+        """The same with other errors of the motions between the keyframes of `solved`."""
+        steps = replace(solved.estimate.steps, errors=errors)
+        shared = _shared_errors(steps, self.world_from_cam, self.keyframes, self.steps.duration_s)
+        return replace(self, errors=shared)
 
 
 def with_frames(
@@ -121,13 +138,14 @@ def with_frames(
     prior: Prior,
     noise: ImuNoise,
 ) -> Estimate:
-    """States of the keyframes by the frames between them, too.
+    """States of the keyframes with the scale and the vertical by the frames between them, too.
 
-    As they are where frames disagree, or hardly make the scale more certain: with slow motions.
+    The path keeps its shape, which images and loops measure better. As they are where frames
+    disagree, or hardly make the scale more certain: with slow motions.
 
     Args:
         solved: states without them.
-        tracked: frames by id of the keyframe before them.
+        tracked: frames by number of the frame of the keyframe before them.
         between: samples between the times of two images.
         prior: of the first state.
         noise: of the sensor.
@@ -136,19 +154,44 @@ def with_frames(
     woven = _woven(solved, tracked, between, noise)
     if len(woven.keyframes) == woven.states.number:
         return estimate
-    problem = _WovenProblem(woven, prior, noise)
+    variance = estimate.covariance[:, LOG_SCALE, LOG_SCALE]
     try:
+        problem = _WovenProblem(woven, prior, noise)
         found = most_probable(problem, woven.states, last_step=_LAST_STEP)
+        ratio = found.covariance[woven.keyframes, LOG_SCALE, LOG_SCALE] / variance
+        if found.misfit > _MAX_MISFIT or float(np.median(ratio)) > _MAX_RATIO**2:
+            return estimate
+        # Covariances are those of the largest drift of the scale that is not improbable, with
+        # which states would follow errors of single frames.
+        woven = woven.with_errors(estimate.errors, solved)
+        problem = _WovenProblem(woven, prior, noise)
+        found = most_probable(problem, found.states, last_step=_LAST_STEP)
     except np.linalg.LinAlgError:
         return estimate
     states = States(*(field[woven.keyframes] for field in found.states))
-    covariance = found.covariance[woven.keyframes][:, :WIDTH, :WIDTH]
-    before, after = (np.sqrt(c[:, LOG_SCALE, LOG_SCALE]) for c in (estimate.covariance, covariance))
-    change = np.abs(states.log_scale - estimate.states.log_scale)
-    is_wrong = found.misfit > _MAX_MISFIT or bool((change > _MAX_SIGMA * before).any())
-    if is_wrong or float(np.median(after / before)) > _MAX_RATIO:
+    change = states.log_scale - estimate.states.log_scale
+    if (change**2 > _MAX_SIGMA**2 * variance).any():
         return estimate
-    return replace(estimate, states=states, covariance=covariance)
+    of_scale = estimate.covariance[:, :, LOG_SCALE]
+    less = ((1.0 - ratio).clip(0.0) / variance)[:, None, None]
+    covariance = estimate.covariance - less * of_scale[:, :, None] * of_scale[:, None]
+    moved = _as_whole(estimate.states, states, float(np.median(change)))
+    return replace(estimate, states=moved, covariance=covariance)
+
+
+def _as_whole(states: States, others: States, change: float) -> States:
+    """States scaled and turned to the mean directions of others, with the biases of these.
+
+    `change`: of the logarithm of the scale.
+    """
+    u, _, vt = np.linalg.svd(np.einsum("kij,klj->il", others.rotation, states.rotation))
+    turn, unit, first = u @ vt, np.exp(change), states.position[0]
+    return others._replace(
+        rotation=turn @ states.rotation,
+        position=first + unit * (states.position - first) @ turn.T,
+        velocity=unit * states.velocity @ turn.T,
+        log_scale=states.log_scale + change,
+    )
 
 
 def _woven(
@@ -164,7 +207,7 @@ def _woven(
     inertial: list[Preintegrated | None] = []
     durations: list[float] = []
     for k, (before, after) in enumerate(pairwise(nodes)):
-        chosen = _usable(before, after, tracked.get(before.keyframe, ()))
+        chosen = _usable(before, after, tracked.get(before.frame_index, ()))
         if k < solved.doubted or steps.inertial[k] is None or not steps.is_visual[k]:
             chosen = []
         stamps = [before.stamp_ns, *(pose.stamp_ns for pose in chosen), after.stamp_ns]
@@ -199,7 +242,7 @@ def _woven(
     kept = np.exp(-duration_s / _KEPT_S)
     kept[ends[:-1]] = kept[ends[1:] - 1] = 0.0
     begun = States(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
-    return _Woven(begun, given, errors, np.stack(own), kept, ends)
+    return _Woven(world_from_cam, begun, given, errors, np.stack(own), kept, ends)
 
 
 def _usable(before: Node, after: Node, tracked: Sequence[TrackedPose]) -> list[TrackedPose]:

@@ -93,6 +93,7 @@ class Estimate:
     reduced_gradient: Floats  # (n, WIDTH) the same of the gradient, at the states
     steps: Steps  # that it was made with
     evidence: float  # logarithm of the measurements' probability, but for a constant
+    errors: MapErrors = MapErrors()  # of the states of one camera, those of `steps` or smaller
 
     def prior_of(self, row: int) -> Prior:
         """What the states before one say about it, for a chain that begins there."""
@@ -203,7 +204,8 @@ def weighed_states(states: States, steps: Steps, prior: Prior, noise: ImuNoise) 
             if found.evidence < best.evidence - (_DOUBT if name == "drift" else 0.0):
                 break
             best, doubted = (found if found.evidence > best.evidence else best), found
-    return replace(best, covariance=doubted.covariance, steps=doubted.steps)
+    errors, steps = best.steps.errors, doubted.steps
+    return replace(best, covariance=doubted.covariance, steps=steps, errors=errors)
 
 
 def with_weighed_images(estimate: Estimate, prior: Prior, noise: ImuNoise) -> Estimate:

@@ -158,6 +158,8 @@ class InertialAlignment:
             self._chain.read_again()
             if not self._chain.is_initialised:
                 self._chain.update()
+        frames = self._trajectory.store.frames["frame_index"]
+        self._chain.tracked.follow(frames, self._trajectory.odometry())
         solved = self._chain.finish()
         if self._chain.agreement.contradiction is not None:
             solved = self._finished_by_regular_stamps() or solved
@@ -248,12 +250,9 @@ class InertialAlignment:
         """Times, segments and rotations (n, 3, 3) of all tracked frames, by images alone."""
         store = self._trajectory.store
         tracked = store.frames["fraction"] == 0  # the others are interpolated
-        path = store.odometry()
-        return (
-            path.stamps_ns[tracked],
-            store.frames["segment"][tracked],
-            path.world_from_cam[tracked, :3, :3],
-        )
+        path, segments = store.odometry(), store.frames["segment"]
+        rotations = path.world_from_cam[:, :3, :3]
+        return path.stamps_ns[tracked], segments[tracked], rotations[tracked]
 
     def _place(self, solved: KeyframeStates | None, *, keeps_earlier: bool = True) -> None:
         """Place the keyframes of a single camera in the metric, upright world."""

@@ -66,6 +66,10 @@ class TrajectoryBuilder:
         """Replace what frames measured since a keyframe, see `TrajectoryStore.measure`."""
         self.store.measure(frames, self.world_from_cam0(keyframe_from_cam))
 
+    def odometry(self) -> Floats:
+        """Poses (n, 4, 4) of the rectified camera at all frames before loops, by segment."""
+        return self.world_from_rectified(self.store.odometry().world_from_cam)
+
     def _has_tracked_since(self, frame: FrameId) -> bool:
         """Whether all frames since the keyframe before have a pose in its segment."""
         rows = self.store.frames
