@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from vo.base.scheduling import available_cores
 from vo.engine import warmup
 
 VO = Path(sys.executable).with_name("vo")
@@ -76,6 +77,22 @@ def test_warmup_compiles_once(first_warmup: tuple[Path, str, str]) -> None:
 
     assert again.stdout.startswith("nothing to compile;")
     assert again.stderr == ""
+
+
+def test_first_compilation_uses_two_cores(tmp_path: Path) -> None:
+    """Of a run's functions this process compiles those that are missing in the shared folder."""
+    if available_cores() < 2:
+        pytest.skip("one core compiles in one process")
+    program = LIBRARY_USE + "from vo.base.compiling.function import compiled_here\n"
+    program += "print(*compiled_here())"
+
+    done = run(tmp_path, sys.executable, "-c", program, tmp_path)
+
+    here = set(done.stdout.splitlines()[1].split())
+    kept = {name.split("-")[0] for name in files_in(tmp_path) if name.endswith(".bin")}
+    assert here < kept
+    assert "vo.engine.frontend.patch_kernels.align" in here  # of the first frames
+    assert "vo.engine.geometry.pnp._gauss_newton" not in here
 
 
 def test_stamp_depends_on_all_compiled_functions() -> None:

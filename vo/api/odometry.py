@@ -41,7 +41,7 @@ class Odometry:
 
     `track` returns when the pose is known; the map is extended in a thread until the next call. The
     same frames give the same bits as `vo run`, however fast they come. The constructor compiles the
-    inner loops if that was not done before (30 to 40 s, once; `vo warmup` does it beforehand).
+    inner loops if that was not done before (about 20 s, once; `vo warmup` does it beforehand).
 
     Calls from several threads wait for each other.
 

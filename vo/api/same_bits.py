@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import logging
-import subprocess
 import sys
 import threading
 
+from vo.base.compiling import processes
 from vo.base.compiling.openblas import choose_kernels_again, use_one_thread
 from vo.base.compiling.processor import use_common_instructions
 from vo.engine.odometry import Odometry
@@ -14,8 +14,6 @@ from vo.engine.warmup import is_warm, warm_up
 
 _log = logging.getLogger(__name__)
 _PROGRAM = """
-import sys
-sys.path[:0] = {path!r}
 from vo.base.compiling.processor import use_common_instructions
 use_common_instructions()
 from vo.engine.odometry import Odometry
@@ -33,8 +31,9 @@ def prepare() -> None:
         use_one_thread()
         if is_warm():
             return
-        _log.warning("compiling the inner loops, once: 30 to 40 s; `vo warmup` does it beforehand")
+        _log.warning("compiling the inner loops, once: about 20 s; `vo warmup` does it beforehand")
         if "numba" in sys.modules:  # it has chosen its instructions when it was imported
-            program = _PROGRAM.format(path=[path for path in sys.path if path])
-            subprocess.run([sys.executable, "-P", "-c", program], check=False)
+            process = processes.start(_PROGRAM)
+            if process is not None:
+                process.wait()
         warm_up(Odometry)

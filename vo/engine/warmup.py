@@ -13,11 +13,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vo.base.compiling import machine_code, store
+from vo.base.compiling import machine_code, processes, store
 from vo.base.compiling.function import announce_compilation, compiled_here
 from vo.base.config import Config, load_config
+from vo.base.geometry.projection import Intrinsics, PixelObservations
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.images.png import decode_grey
+from vo.base.scheduling import available_cores
 from vo.base.types import Bytes, Camera, Frame, ImuNoise, Rig
 from vo.base.version import __version__
 from vo.engine.geometry.rolling_shutter import Velocity, disparity_at_middle_row
@@ -48,6 +50,12 @@ _FRAMES = 12
 
 # What is compiled apart: no recording needs all of it.
 _PARTS = ("stereo", "mono", "inertial")
+# Of a second process, which begins with what tracking needs last.
+_PROGRAM = """
+from vo.engine.warmup import use_apart
+for part in {parts!r}:
+    use_apart(part)
+"""
 
 _is_running = False
 
@@ -76,26 +84,38 @@ def warm_up(make_odometry: Callable[[Rig, Config], Any], parts: Iterable[str] = 
     if _is_running or is_warm(parts):
         return False
     compiled_before = compiled_here()
-    _is_running = True
+    _is_running, helper = True, None
     try:
         if not machine_code.is_supported():  # numba's own cache does not report compilations
             announce_compilation()
+        elif available_cores() > 1:
+            helper = processes.start(_PROGRAM.format(parts=tuple(parts)))
         for part in parts:
             _use(part, make_odometry)
             _save_stamp(part)
     finally:
+        if helper is not None:
+            helper.kill()  # what it has not compiled yet nobody needs any more
+            helper.wait()
         _is_running = False
     return compiled_here() != compiled_before
 
 
 def _use(part: str, make_odometry: Callable[[Rig, Config], Any]) -> None:
+    if part != "inertial":
+        _run(make_odometry, next(rig for rig in _rigs() if rig.is_stereo == (part == "stereo")))
+    use_apart(part)
+
+
+def use_apart(part: str) -> None:
+    """Call the functions of a part that can be called without a run, with any values."""
     if part == "inertial":
         return _use_inertial_samples()
-    _run(make_odometry, next(rig for rig in _rigs() if rig.is_stereo == (part == "stereo")))
-    _use_rolling_shutter()
-    _use_screening()
-    _use_whole_path()
+    _use_poses()
     _use_pose_graph()
+    _use_whole_path()
+    _use_screening()
+    _use_rolling_shutter()
     _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
     decode_grey(packed.tobytes())
 
@@ -174,9 +194,24 @@ def _use_screening() -> None:
     LandmarkSearch(1.44).by_relation(keyframe_pair(place, [place], camera), np.eye(4))
 
 
+def _use_poses() -> None:
+    """Call what the pose of each frame needs, for a camera that stands still."""
+    from vo.engine.geometry.patch_prediction import predict_patches
+    from vo.engine.geometry.pnp import refine_pose, take_step
+    from vo.engine.geometry.surfaces import inverse_depth_slopes
+
+    rows, ones = np.arange(20), np.ones(20)
+    xyz, first = np.ones((20, 3)), np.zeros(20, np.int64)
+    intrinsics = Intrinsics(_FOCAL_PX, _FOCAL_PX, 0.0, 0.0)
+    seen = PixelObservations(xyz[:, :2] * _FOCAL_PX, ones, ones, 1.0)
+    take_step(np.eye(6), np.zeros(6), np.eye(4))
+    refine_pose(np.eye(4), xyz, seen, intrinsics, _FOCAL_PX)
+    inverse_depth_slopes(xyz[:, :2], ones, rows)
+    predict_patches(xyz, xyz, first, rows, first, np.eye(4)[None], intrinsics)
+
+
 def _use_whole_path() -> None:
     """Call what only the end of a run needs, for a camera that moves by 0.1 m."""
-    from vo.base.geometry.projection import Intrinsics
     from vo.engine.backend import loop_adjustment as path
     from vo.engine.backend.window_problem import WindowProblem
 

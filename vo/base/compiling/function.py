@@ -173,7 +173,7 @@ def compiled_here() -> tuple[str, ...]:
 @lru_cache(maxsize=1)
 def announce_compilation() -> None:
     """Log, once per process, that compilation begins; `vo` prints the line."""
-    _log.info("compiling the inner loops, once; this takes 30 to 40 s")
+    _log.info("compiling the inner loops, once; this takes about 20 s")
 
 
 @contextmanager

@@ -14,6 +14,8 @@ register. Blocks of H are those of `block_matrix`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, Intrinsic, compiled
@@ -40,11 +42,10 @@ _add_row = Intrinsic("vo.engine.backend.intrinsics", "add_row")
 _subtract_row = Intrinsic("vo.engine.backend.intrinsics", "subtract_row")
 
 
-@compiled(fastmath={"contract"})
-def reduced(points, poses, slot, calibrates, views):  # type: ignore[no-untyped-def]
+def reduced(points: Any, poses: Any, slot: Any, calibrates: bool, views: Any) -> Any:
     """H (6 F, 6 F) and g (6 F,) of the F free poses, of which any two may be coupled."""
-    free = slot.max() + 1
-    size = free + 1 if calibrates else free
+    free = int(slot.max()) + 1
+    size = free + calibrates
     row, end = size * np.arange(size), np.full(size, free)
     blocks, gradient = reduced_blocks(points, poses, slot, calibrates, row, end, views)
     return assembled(blocks, row, 0, size, size), gradient

@@ -130,16 +130,15 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
     columns = (width - 1) // size + 1
     cells = (height - 1) // size * columns + columns
     found = np.empty(height * width, dtype=np.int64)  # y * width + x; there cannot be more
-    part = np.array([0, 0, height, width])
-    n = _add_corners(contrast, part, threshold, found, np.int64(0))
+    none = np.int64(0)
+    n = _add_corners(contrast, (none, none, height, width), threshold, found, none)
     is_empty = np.ones(cells, dtype=np.bool_)
     for i in range(n):
         is_empty[found[i] // width // size * columns + found[i] % width // size] = False
     for cell in range(cells):
         if is_empty[cell]:
             top, left = cell // columns * size, cell % columns * size
-            part[0], part[1] = top, left
-            part[2], part[3] = min(top + size, height), min(left + size, width)
+            part = top, left, min(top + size, height), min(left + size, width)
             n = _add_corners(contrast, part, low_threshold, found, n)
     scores, cell_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
@@ -198,7 +197,7 @@ def _best_of_cells(scores, cell_of, cells, count):  # type: ignore[no-untyped-de
     weakness, rows = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
         weakness[i], rows[i] = 255 - scores[i], i
-    strongest_first = _sorted_stably(weakness, rows, 256)
+    strongest_first = _sorted_stably(weakness, rows, np.int64(256))
     seen, rank = np.zeros(cells, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in strongest_first:
         rank[i] = seen[cell_of[i]]

@@ -162,9 +162,10 @@ def _predict_each(points, normals, reference, point, camera, poses, intrinsics, 
             slope[n, 0] = _dot(normal, here[:3, 0]) * z / (intrinsics.fx * ahead)
             slope[n, 1] = _dot(normal, here[:3, 1]) * z / (intrinsics.fy * ahead)
         depth = from_world(there, at[0], at[1], at[2])[2]
-        # Columns (a, c) and (b, d) of target_from_reference, which is then inverted.
-        a, c = _moved(at, normal, there, 0, depth / intrinsics.fx, here, intrinsics)
-        b, d = _moved(at, normal, there, 1, depth / intrinsics.fy, here, intrinsics)
+        # Columns (a, c) and (b, d) of target_from_reference, which is then inverted. The number of
+        # an axis is no literal: each would be compiled on its own.
+        a, c = _moved(at, normal, there, np.int64(0), depth / intrinsics.fx, here, intrinsics)
+        b, d = _moved(at, normal, there, np.int64(1), depth / intrinsics.fy, here, intrinsics)
         a, c = a - u, c - v
         b, d = b - u, d - v
         determinant = a * d - b * c
