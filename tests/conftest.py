@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -27,6 +28,18 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 settings.register_profile("any speed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any speed")
 use_common_instructions()  # as the program does, so that both share what is compiled
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin with the slowest files: in the end no process waits for another one's."""
+    if hasattr(config, "workerinput"):
+        slowest = Path(__file__).with_name("slowest_files.txt").read_text(encoding="utf-8").split()
+        place = {name: n for n, name in enumerate(slowest)}
+        tests = Counter(item.path for item in items)
+        items.sort(
+            key=lambda item: (place.get(item.path.stem, len(place)), -tests[item.path], item.path)
+        )
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -109,3 +109,9 @@ def test_a_failed_installation_is_repeated(checkout: Path) -> None:
     assert "the installation failed" in result.stderr
     _call(checkout, "scripts/demo")
     assert log.read_text().split() == ["venv", ".[all]", ".[all]"]
+
+
+def test_the_files_that_begin_first_exist_once() -> None:
+    names = (ROOT / "tests" / "slowest_files.txt").read_text(encoding="utf-8").split()
+    found = [path.stem for path in (ROOT / "tests").rglob("test_*.py")]
+    assert names and {name: found.count(name) for name in names} == dict.fromkeys(names, 1)
