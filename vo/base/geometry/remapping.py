@@ -23,7 +23,7 @@ _blend = Intrinsic("vo.base.geometry.remap_intrinsics", "blend_eight")
 _SIDE = 8  # pixels at once
 _FROM = 16  # pixels of a row that they are taken from
 _OPENCV_MAX = 2**15 - 1  # rows of its maps
-_PREPARED_AFTER = 5  # images; preparing takes as long as is saved with five
+_PREPARED_AFTER = 3  # images; preparing takes as long as is saved with three to five
 
 
 class Remapping:
