@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -119,14 +120,10 @@ class RunFolder:
     def finish(self) -> None:
         """Close the files and give them their final names; an error of one is raised at the end."""
         self._is_finished = True
-        errors = []
-        for file in self._growing:
-            try:
-                file.finish()
-            except OutputError as error:
-                errors.append(error)
-        if errors:
-            raise errors[0]
+        with ThreadPoolExecutor(len(self._growing)) as threads:  # a disk writes all at once
+            files = [threads.submit(file.finish) for file in self._growing]
+        for file in files:
+            file.result()
 
     def close(self) -> None:
         """Close the files, finished or not."""
