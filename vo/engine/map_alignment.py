@@ -83,6 +83,8 @@ class MapAlignment:
         """After a frame was tracked that does not become a keyframe; the newest one is given."""
         if self._inertial is not None:
             self._inertial.tracked.see(frame, tracked, newest)
+        if self._final is not None:
+            self._final.frames.see(frame, tracked, newest)
 
     def see_markers(
         self, frame_index: int, views: Sequence[MarkerView], repeated: Sequence[int]

@@ -34,8 +34,9 @@ from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.mapping.local_map import LocalMap
+from vo.engine.memory.final_frames import AdjustedViews, FinalFrames
 from vo.engine.memory.loop_bundle import loops_inside, measured_motions, with_scale_kept
-from vo.engine.memory.rematching import PathViews, rematched, with_depths
+from vo.engine.memory.rematching import PathViews, references, rematched, with_depths
 from vo.engine.places.records import Loop, RegisteredKeyframes
 from vo.engine.trajectory.builder import TrajectoryBuilder
 
@@ -78,7 +79,11 @@ class _Stored(NamedTuple):
 
 
 class FinalAdjustment:
-    """Keeps all keyframes with their images, and adjusts paths at the end; a `KeyframeStore`."""
+    """Keeps all keyframes with their images, and adjusts paths at the end; a `KeyframeStore`.
+
+    Attributes:
+        frames: between the keyframes.
+    """
 
     def __init__(
         self,
@@ -88,8 +93,9 @@ class FinalAdjustment:
         stopwatch: Stopwatch,
     ) -> None:
         self.stopwatch = stopwatch
+        self.frames = FinalFrames(trajectory, frontend.patches, _LAST_GATE)
         self._trajectory = trajectory
-        self._config = config
+        self._config, self._rounds = config, config.refinement.rounds
         self._patches, self._stereo = frontend.patches, frontend.stereo
         self._stored: dict[int, _Stored] | None = {}
         self._pairs: dict[int, PreprocessedFrame] = {}
@@ -134,6 +140,7 @@ class FinalAdjustment:
 
     def forget_from(self, frame_index: int) -> None:
         """Forget keyframes of a frame and those after it, which are tracked anew."""
+        self.frames.forget_from(frame_index)
         if self._stored is not None:
             kept = {k: s for k, s in self._stored.items() if s.keyframe.frame.index < frame_index}
             self._stored = kept
@@ -167,8 +174,9 @@ class FinalAdjustment:
                 continue
             adjusted = self._adjusted(registered, [stored[key] for key in keys], local_map, loops)
             if adjusted is not None:
-                self._trajectory.move_keyframes(adjusted, _SESSION)
-                moved.append(adjusted)
+                self._trajectory.move_keyframes(adjusted[0], _SESSION)
+                self.frames.fit(adjusted[1])
+                moved.append(adjusted[0])
         self._pairs = {}
         return moved
 
@@ -178,10 +186,9 @@ class FinalAdjustment:
         stored: Sequence[_Stored],
         local_map: LocalMap,
         loops: Sequence[Loop],
-    ) -> RegisteredKeyframes | None:
+    ) -> tuple[RegisteredKeyframes, AdjustedViews] | None:
         """The keyframes of a world after the last round that connects them; None without one."""
-        rig, rounds = local_map.rig, self._config.refinement.rounds
-        smoothing = self._config.smoothing
+        rig, rounds, smoothing = local_map.rig, self._rounds, self._config.smoothing
         by_sensor = int(registered.world[0]) in self._trajectory.store.metric.worlds_with_sensor
         connected: PathViews | None = None
         has_lens_error = rig.k1_error != 0.0 and not rig.is_metric
@@ -192,6 +199,7 @@ class FinalAdjustment:
         takes_depths = any(pairs) and bool(np.isfinite(measured.disparity).any())
         for number in range(rounds + 1):
             if number < rounds:
+                searched = references(views)
                 views = rematched(views, measured, rig, self._patches)
                 if number > 0 and takes_depths:
                     views = with_depths(views, pairs, rig, self._stereo)
@@ -200,14 +208,9 @@ class FinalAdjustment:
             found = adjust_path(self._weighted(views, rig), motions, smoothing, _MIN_DECREASE)
             if found is None:
                 return None
-            change = np.linalg.norm((found.world_from_cam - views.world_from_cam)[:, :3, 3], axis=1)
+            _note_round(number + 1, rounds + 1, views, found)
             views = replace(views, world_from_cam=found.world_from_cam, points=found.points)
-            connected = views
-            _log.info(
-                "whole path, adjustment %d of %d: %d observations, moved by %.2g (largest %.2g)",
-                *(number + 1, rounds + 1, len(views.point)),
-                *(float(np.sqrt(np.mean(change**2))), float(change.max())),
-            )
+            connected, of_landmarks = views, searched
             if number < rounds:
                 if has_lens_error or (number == 0 and takes_depths):
                     step = calibration_step(self._weighted(views, rig), smoothing)
@@ -220,18 +223,23 @@ class FinalAdjustment:
                 views = views.select(np.flatnonzero(off < gate))
         if connected is None or (by_sensor and connected is not views):
             return None
+        frames = [each.keyframe.frame for each in stored]
         views, found = connected, AdjustedPath(connected.world_from_cam, connected.points)
         information = path_information(self._weighted(views, rig), found, motions, smoothing)
         if rig.is_metric:
-            return self._placed(registered, views.world_from_cam, information)
+            placed = self._placed(registered, views.world_from_cam, information)
+            return placed, AdjustedViews(views, rig, frames, placed.scale, of_landmarks)
         covariance = path_covariance(information)
         depth = [s * each.xyz[:, 2] for s, each in zip(registered.scale, stored, strict=True)]
         start = self._problem(measured, rig)
         kept = with_scale_kept(registered, start, found, np.concatenate(depth), inside)
-        if kept is None or covariance is None:
-            return kept
-        kept = replace(kept, covariance=covariance)
-        return _as_whole_where(kept, registered) if by_sensor else kept
+        if kept is None:
+            return None
+        unit = kept.scale * _length(views) / _length(kept)
+        if covariance is not None:
+            kept = replace(kept, covariance=covariance)
+            kept = _as_whole_where(kept, registered) if by_sensor else kept
+        return kept, AdjustedViews(views, rig, frames, unit, of_landmarks)
 
     def _placed(
         self, registered: RegisteredKeyframes, poses: Floats, information: PathEquations | None
@@ -274,6 +282,20 @@ def _views(registered: RegisteredKeyframes, stored: Sequence[_Stored]) -> PathVi
         np.concatenate([each.image_xy for each in stored]),
         np.concatenate([each.disparity for each in stored]),
         np.concatenate([each.sigma_px for each in stored]),
+    )
+
+
+def _length(path: PathViews | RegisteredKeyframes) -> float:
+    steps = np.diff(path.world_from_cam[:, :3, 3], axis=0)
+    return float(np.linalg.norm(steps, axis=1).sum())
+
+
+def _note_round(number: int, rounds: int, before: PathViews, found: AdjustedPath) -> None:
+    change = np.linalg.norm((found.world_from_cam - before.world_from_cam)[:, :3, 3], axis=1)
+    _log.info(
+        "whole path, adjustment %d of %d: %d observations, moved by %.2g (largest %.2g)",
+        *(number, rounds, len(before.point)),
+        *(float(np.sqrt(np.mean(change**2))), float(change.max())),
     )
 
 

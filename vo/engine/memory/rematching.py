@@ -93,14 +93,13 @@ class PathViews:
         )
 
 
-def rematched(
-    views: PathViews, measured: PathViews, rig: RectifiedRig, patches: PatchAligner
-) -> PathViews:
-    """Observations of all landmarks in all keyframes that should show them.
+# Rows of the landmarks that are observed, and of all (M,) and (M, 2): keyframe and pixel of the
+# patch, that of the middle one of the keyframes that observe it.
+References = tuple[Ints, tuple[Ints, Floats]]
 
-    The patch of each is that of the middle one of the keyframes that observe it, from which the
-    others differ least. Disparities are those that `measured` has.
-    """
+
+def references(views: PathViews) -> References:
+    """Where the patch of each landmark is."""
     observed, row = np.unique(views.point[order := _by_point(views)], return_index=True)
     count = np.diff(np.append(row, len(order)))
     middle = order[row + (count - 1) // 2]
@@ -109,6 +108,38 @@ def rematched(
         np.zeros((len(views.points), 2)),
     )
     reference[observed], reference_xy[observed] = views.keyframe[middle], views.image_xy[middle]
+    return observed, (reference, reference_xy)
+
+
+def found_in(
+    views: PathViews,
+    rows: Ints,
+    place: tuple[Floats, Bytes, Bytes | None],
+    of_landmarks: References,
+    rig: RectifiedRig,
+    patches: PatchAligner,
+) -> tuple[Ints, Floats, Floats]:
+    """Landmark, pixel and standard deviation of those of `rows` that another image shows.
+
+    `place`: its pose (4, 4), the image, and its mask.
+    """
+    pose, image, mask = place
+    poses = np.concatenate([views.world_from_cam, pose[None]])
+    views = replace(views, world_from_cam=poses, masks=[*views.masks, mask])
+    last = len(poses) - 1
+    _, rows, xy, sigma = _found(views, last, rows, of_landmarks[1], rig, patches, image[None])
+    return rows, xy, patches.sigma_px * _relative_sigma(sigma)
+
+
+def rematched(
+    views: PathViews, measured: PathViews, rig: RectifiedRig, patches: PatchAligner
+) -> PathViews:
+    """Observations of all landmarks in all keyframes that should show them.
+
+    The patch of each is that of the middle one of the keyframes that observe it, from which the
+    others differ least. Disparities are those that `measured` has.
+    """
+    observed, (reference, reference_xy) = references(views)
     views = replace(views, normals=_normals(views, reference, rig))
     usable = observed[np.isfinite(views.points[observed]).all(axis=1)]
     parts = []
@@ -118,15 +149,13 @@ def rematched(
         others = usable[reference[usable] != k]
         parts.append(_found(views, k, others, (reference, reference_xy), rig, patches))
     keyframe, point, image_xy, sigma = (np.concatenate(each) for each in zip(*parts, strict=True))
-    relative = np.minimum(sigma / _MEDIAN_SIGMA_PX, _MAX_SIGMA)
-    sigma_px = np.sqrt(_CONSTANT_VARIANCE + (1.0 - _CONSTANT_VARIANCE) * relative**2)
     found = replace(
         views,
         keyframe=keyframe,
         point=point,
         image_xy=image_xy,
         disparity=_disparities(measured, keyframe, point),
-        sigma_px=patches.sigma_px * sigma_px,
+        sigma_px=patches.sigma_px * _relative_sigma(sigma),
     )
     return found.select(np.lexsort((point, keyframe)))
 
@@ -168,6 +197,12 @@ def with_depths(
     return replace(views, disparity=disparity)
 
 
+def _relative_sigma(sigma_px: Floats) -> Floats:
+    """Standard deviations of aligned positions, relative to those of most."""
+    relative = np.minimum(sigma_px / _MEDIAN_SIGMA_PX, _MAX_SIGMA)
+    return np.asarray(np.sqrt(_CONSTANT_VARIANCE + (1.0 - _CONSTANT_VARIANCE) * relative**2))
+
+
 def _by_point(views: PathViews) -> Ints:
     """Observations ordered by landmark, then by keyframe."""
     return np.lexsort((views.keyframe, views.point))
@@ -180,8 +215,12 @@ def _found(
     references: tuple[Ints, Floats],
     rig: RectifiedRig,
     patches: PatchAligner,
+    target: Bytes | None = None,
 ) -> tuple[Ints, Ints, Floats, Floats]:
-    """Keyframe, landmark, pixel and standard deviation of those of `rows` that keyframe k shows."""
+    """Keyframe, landmark, pixel and standard deviation of those of `rows` that keyframe k shows.
+
+    `target`: (1, H, W) its image, if it is not in `views`.
+    """
     at = transform_points(inverse(views.world_from_cam[k]), views.points[rows])
     rows, at = rows[ahead := at[:, 2] > 1e-6], at[ahead]
     u = rig.fx * at[:, 0] / at[:, 2] + rig.cx
@@ -200,8 +239,8 @@ def _found(
     rows, expected, warp = rows[kept], expected[kept], seen.reference_from_target[kept]
     found = patches.align_in(
         Patches(views.images, reference[rows], reference_xy[rows], warp),
-        views.images,
-        np.full(len(rows), k),
+        views.images if target is None else target,
+        np.full(len(rows), k if target is None else 0),
         expected,
     )
     good = patches.is_found(found)
