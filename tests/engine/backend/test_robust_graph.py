@@ -8,7 +8,7 @@ import pytest
 from graphs import laps
 
 from vo.base.types import Floats
-from vo.engine.backend.chain_motion import ChainMotions
+from vo.engine.backend.chain_motion import motions_of
 from vo.engine.backend.chain_reduction import ReducedGraph, reduce_graph
 from vo.engine.backend.loop_edges import loop_edges
 from vo.engine.backend.robust_graph import optimise
@@ -18,7 +18,7 @@ from vo.engine.geometry import sim3
 
 def _reduced(scale_sigma: float) -> tuple[Floats, ReducedGraph]:
     problem = laps(3, keyframes=120, per_lap=30, loops=25, scale_sigma=scale_sigma).problem
-    motions = ChainMotions(problem)
+    motions = motions_of(problem)
     reduced = reduce_graph(problem, motions, loop_edges(problem))
     return motions.odom_from_cam[reduced.knots], reduced
 
@@ -80,19 +80,21 @@ def test_sparse_solutions_and_inverses_are_those_of_dense_matrices(count: int) -
         for row, at in enumerate(ends):
             for column, then in enumerate(ends):
                 dense[at, :, then] += terms[n, 7 * row : 7 * row + 7, 7 * column : 7 * column + 7]
-    couplings, diagonal = Couplings(count, a, b), rng.uniform(0.0, 1.0, (count, 7))
-    matrix = couplings.matrix(terms[:, :7, :7], terms[:, 7:, 7:], terms[:, :7, 7:])
+    couplings = Couplings(count, np.r_[a, b, a], np.r_[a, b, b])
+    diagonal, across = rng.uniform(0.0, 1.0, (count, 7)), terms[:, :7, 7:]
+    across[a == b] += np.swapaxes(across[a == b], 1, 2)
+    matrix = couplings.matrix(np.concatenate([terms[:, :7, :7], terms[:, 7:, 7:], across]))
     whole = dense.reshape(7 * count, 7 * count) + np.diag(diagonal.ravel())
     right = rng.normal(size=(count, 7))
     expected = np.linalg.solve(whole, right.ravel()).reshape(count, 7)
-    found = couplings.solve(matrix, diagonal, right)
+    found, log_determinant = couplings.solve(matrix, diagonal, right)
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-10)
-    single, joint = couplings.inverse_blocks(matrix, diagonal)
+    np.testing.assert_allclose(log_determinant, np.linalg.slogdet(whole)[1], rtol=1e-10)
+    single, blocks = couplings.inverse_blocks(matrix, diagonal)
     inverse = np.linalg.inv(whole).reshape(count, 7, count, 7)
     for n in range(count):
         np.testing.assert_allclose(single[n], inverse[n, :, n], rtol=1e-6, atol=1e-9)
-    for n, ends in enumerate(zip(a, b, strict=True)):
-        blocks = [[inverse[i, :, j] for j in ends] for i in ends]
-        np.testing.assert_allclose(joint[n], np.block(blocks), rtol=1e-6, atol=1e-9)
+    for n, (i, j) in enumerate(zip(np.r_[a, b, a], np.r_[a, b, b], strict=True)):
+        np.testing.assert_allclose(blocks[n], inverse[i, :, j], rtol=1e-6, atol=1e-9)
     with pytest.raises(np.linalg.LinAlgError):
         couplings.solve(matrix, diagonal - 1e3, right)

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from vo.base.types import Bools, Floats, Ints
-from vo.engine.backend.chain_motion import ChainMotions
+from vo.engine.backend.chain_motion import ChainMotions, motions_of
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.loop_edges import (
     LoopEdges,
@@ -60,8 +60,8 @@ def with_contradicted_doubts(problem: GraphProblem, loops: LoopEdges) -> GraphPr
     crosses &= problem.chain[loops.earlier] == problem.chain[loops.later]
     if not crosses.any():
         return trusted
-    motions, contradicted = ChainMotions(problem), trusted.is_doubted.copy()
-    by_odometry = agrees_with_odometry(loops.select(crosses), ChainMotions(trusted))
+    motions, contradicted = motions_of(problem), trusted.is_doubted.copy()
+    by_odometry = agrees_with_odometry(loops.select(crosses), motions_of(trusted))
     disagrees = crosses.copy()
     disagrees[crosses] = ~by_odometry
     crosses[crosses] = agrees_with_odometry(loops.select(crosses), motions)

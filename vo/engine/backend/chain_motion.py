@@ -40,14 +40,18 @@ class ChainMotions:
     squared.
 
     Attributes:
-        odom_from_cam: (n, 4, 4) similarities of all rows of the graph.
+        odom_from_cam: (n, 4, 4) similarities of all rows.
+
+    Args:
+        odom_from_cam: those.
+        noise: (n, 7, 7) covariances of the steps that end in the rows, in their frames and units.
+        drift: (n, 7, 7) factors of their systematic errors.
     """
 
-    def __init__(self, problem: GraphProblem, metric_drift: Drift = LARGEST) -> None:
-        self.odom_from_cam = sim3.similarity(problem.odom_from_cam, problem.scale)
-        self._adjoint = sim3.adjoint(self.odom_from_cam)
-        self._inverse_adjoint = sim3.adjoint(sim3.inverse(self.odom_from_cam))
-        noise, drift = _step_errors(problem, self.odom_from_cam, metric_drift)
+    def __init__(self, odom_from_cam: Floats, noise: Floats, drift: Floats) -> None:
+        self.odom_from_cam = odom_from_cam
+        self._adjoint = sim3.adjoint(odom_from_cam)
+        self._inverse_adjoint = sim3.adjoint(sim3.inverse(odom_from_cam))
         carried = self._adjoint @ noise @ np.swapaxes(self._adjoint, 1, 2)
         self._noise = np.cumsum(carried, axis=0)
         self._drift = np.cumsum(self._adjoint @ drift, axis=0)
@@ -64,6 +68,10 @@ class ChainMotions:
         to_b = self._inverse_adjoint[b]
         return np.asarray(to_b @ carried @ np.swapaxes(to_b, -1, -2))
 
+    def systematic(self, a: Ints | int, b: Ints | int) -> Floats:
+        """(..., 7, 7) factors of the systematic errors of `motion`, in the frame and unit of b."""
+        return np.asarray(self._inverse_adjoint[b] @ (self._drift[b] - self._drift[a]))
+
     def joint(self, a: int, rows: Ints, b: int) -> Floats:
         """(n, 7, 7) covariances of the motions from a to each row with that from a to b.
 
@@ -77,6 +85,12 @@ class ChainMotions:
     def adjoint(self, a: Ints | int, b: Ints | int) -> Floats:
         """(..., 7, 7) adjoint of `motion`."""
         return np.asarray(self._inverse_adjoint[a] @ self._adjoint[b])
+
+
+def motions_of(problem: GraphProblem, metric_drift: Drift = LARGEST) -> ChainMotions:
+    """Motions along the chains of a graph."""
+    poses = sim3.similarity(problem.odom_from_cam, problem.scale)
+    return ChainMotions(poses, *_step_errors(problem, poses, metric_drift))
 
 
 def _step_errors(

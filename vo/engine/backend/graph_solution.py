@@ -15,7 +15,7 @@ from vo.engine.backend.chain_merging import (
     without_weak_merges,
     worlds_of,
 )
-from vo.engine.backend.chain_motion import USUAL, ChainMotions
+from vo.engine.backend.chain_motion import USUAL, ChainMotions, motions_of
 from vo.engine.backend.chain_reduction import ReducedGraph, expand, reduce_graph
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.loop_edges import LoopEdges, loop_edges
@@ -47,11 +47,11 @@ def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
 
 def _solved(problem: GraphProblem, loops: LoopEdges) -> RegisteredKeyframes:
     problem = with_contradicted_doubts(problem, loops)
-    motions = ChainMotions(problem)
+    motions = motions_of(problem)
     kept = _true_loops(problem, loops, motions)
     chosen = loops.select(kept)
     world = worlds_of(problem, chosen)
-    motions = ChainMotions(problem, metric_drift=USUAL)
+    motions = motions_of(problem, metric_drift=USUAL)
     poses, covariance = _optimised(problem, chosen, motions, world)
     scale = np.where(problem.is_metric, problem.scale, sim3.scale_of(poses))
     rigid = sim3.rigid_part(poses)

@@ -82,7 +82,8 @@ class _Graph:
         self.weight = np.ones(len(edges.a))
         self._edges, self._back = edges, sim3.inverse(edges.a_from_b)
         self._information = np.linalg.inv(edges.covariance)
-        self._couplings = Couplings(count, edges.a, edges.b)
+        a, b = edges.a, edges.b
+        self._couplings = Couplings(count, np.r_[a, b, a], np.r_[a, b, b])
         self._held = np.zeros((count, 7))
         self._held[gauge] = _GAUGE_SIGMA**-2
 
@@ -98,7 +99,7 @@ class _Graph:
     def steps(self, state: Floats) -> Callable[[float], Floats]:
         """By all damping alike."""
         matrix, gradient = self._equations(state)
-        return lambda damping: self._couplings.solve(matrix, self._held + damping, -gradient)
+        return lambda damping: self._couplings.solve(matrix, self._held + damping, -gradient)[0]
 
     def moved(self, state: Floats, step: Floats) -> Floats:
         """The poses after a step (m, 7)."""
@@ -106,7 +107,9 @@ class _Graph:
 
     def covariances(self, poses: Floats) -> tuple[Floats, Floats]:
         """Of poses (m, 7, 7), and of both ends of each edge (E, 14, 14), in their own frames."""
-        return self._couplings.inverse_blocks(self._equations(poses)[0], self._held)
+        single, of_edges = self._couplings.inverse_blocks(self._equations(poses)[0], self._held)
+        a, b, between = np.split(of_edges, 3)
+        return single, np.block([[a, between], [np.swapaxes(between, 1, 2), b]])
 
     def _errors(self, poses: Floats) -> Floats:
         a, b = poses[self._edges.a], poses[self._edges.b]
@@ -122,4 +125,5 @@ class _Graph:
         np.add.at(gradient, b, by_b)
         coupling = back @ weighted
         by_a = coupling @ np.swapaxes(back, 1, 2)
-        return self._couplings.matrix(by_a, weighted, coupling), gradient
+        coupling[a == b] += np.swapaxes(coupling[a == b], 1, 2)
+        return self._couplings.matrix(np.concatenate([by_a, weighted, coupling])), gradient

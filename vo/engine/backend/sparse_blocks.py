@@ -22,7 +22,8 @@ _SIZE = 7
 class Couplings:
     """Which of m poses are coupled, by edges between poses `a` (E,) and `b` (E,).
 
-    A matrix is (m + n, 7, 7): blocks on the diagonal, and under it, in the order of elimination.
+    Of a pose with itself, a and b are the same. A matrix is (m + n, 7, 7): blocks on the diagonal,
+    and under it, in the order of elimination.
     """
 
     def __init__(self, count: int, a: Ints, b: Ints) -> None:
@@ -41,10 +42,9 @@ class Couplings:
         self._place = np.argsort(order)
         self._starts = np.cumsum([0, *(len(column) for column in columns)])
         self._below = np.concatenate([np.sort(self._place[column]) for column in columns])
-        first, last = np.sort([self._place[a], self._place[b]], axis=0)
-        self._is_alone = a == b
         self._is_turned = self._place[a] < self._place[b]
-        self._rows = np.r_[self._place[a], self._place[b], self._blocks(first, last)]
+        self._rows = self._blocks(*np.sort([self._place[a], self._place[b]], axis=0))
+        self._numbers = (_SIZE**2 * self._rows[:, None] + np.arange(_SIZE**2)).ravel()
 
     def _blocks(self, first: Ints, last: Ints) -> Ints:
         """Numbers of the blocks that couple two places."""
@@ -53,16 +53,15 @@ class Couplings:
         number = count + np.searchsorted(column * count + self._below, first * count + last)
         return np.where(first == last, first, number)
 
-    def matrix(self, by_a: Floats, by_b: Floats, coupling: Floats) -> Floats:
-        """The sum of what each edge adds to those of its poses, and couples a with b."""
-        turned = np.where(self._is_turned[:, None, None], np.swapaxes(coupling, 1, 2), coupling)
-        turned[self._is_alone] += np.swapaxes(turned[self._is_alone], 1, 2)
-        result = np.zeros((len(self._place) + len(self._below), _SIZE, _SIZE))
-        np.add.at(result, self._rows, np.concatenate([by_a, by_b, turned]))
-        return result
+    def matrix(self, blocks: Floats) -> Floats:
+        """The sum of blocks (E, 7, 7) of rows of a and columns of b."""
+        turned = np.where(self._is_turned[:, None, None], np.swapaxes(blocks, 1, 2), blocks)
+        size = _SIZE**2 * (len(self._place) + len(self._below))
+        summed = np.bincount(self._numbers, turned.ravel(), size)
+        return np.asarray(summed.reshape(-1, _SIZE, _SIZE), np.float64)
 
-    def solve(self, matrix: Floats, diagonal: Floats, right: Floats) -> Floats:
-        """(m, 7) x with (H + diag(diagonal)) x = right; both (m, 7).
+    def solve(self, matrix: Floats, diagonal: Floats, right: Floats) -> tuple[Floats, float]:
+        """(m, 7) x with (H + diag(diagonal)) x = right, both (m, 7); logarithm of the determinant.
 
         Raises:
             numpy.linalg.LinAlgError: it is not positive definite.
@@ -70,10 +69,10 @@ class Couplings:
         gain, inverse = self._eliminated(matrix, diagonal)
         result = right[np.argsort(self._place)]
         _substitute(self._starts, self._below, gain, inverse, result)
-        return np.asarray(result[self._place])
+        return np.asarray(result[self._place]), -float(np.linalg.slogdet(inverse)[1].sum())
 
     def inverse_blocks(self, matrix: Floats, diagonal: Floats) -> tuple[Floats, Floats]:
-        """Of H + diag(diagonal): (m, 7, 7) of poses, and (E, 14, 14) of both ends of the edges.
+        """Of H + diag(diagonal): (m, 7, 7) of poses, and (E, 7, 7) of rows of a and columns of b.
 
         Raises:
             numpy.linalg.LinAlgError: it is not positive definite.
@@ -81,12 +80,9 @@ class Couplings:
         gain, inverse = self._eliminated(matrix, diagonal)
         found = np.zeros_like(matrix)
         _invert(self._starts, self._below, gain, inverse, found)
-        a, b, between = np.split(self._rows, 3)
-        turned = np.where(
-            self._is_turned[:, None, None], np.swapaxes(found[between], 1, 2), found[between]
-        )
-        joint = np.block([[found[a], turned], [np.swapaxes(turned, 1, 2), found[b]]])
-        return found[self._place], joint
+        between = found[self._rows]
+        turned = np.where(self._is_turned[:, None, None], np.swapaxes(between, 1, 2), between)
+        return found[self._place], turned
 
     def _eliminated(self, matrix: Floats, diagonal: Floats) -> tuple[Floats, Floats]:
         blocks, count = matrix.copy(), len(self._place)

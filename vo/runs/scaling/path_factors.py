@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.types import Bools, Floats, Ints
+from vo.engine.geometry import sim3
 
 _NEAR = 20  # positions on each side that an outlier is compared with
 _OUTLIER = 5.5  # in standard deviations
@@ -60,7 +61,8 @@ class WayFactors(NamedTuple):
     Attributes:
         way_m: (W,) lengths.
         bend: (W,) length of the path between two keyframes, by that of its chord.
-        covariance: (W, W).
+        times_s: (W,).
+        variance: (W,) of independent errors.
         radius_sigma: relative standard deviation of an error that all ways have in common.
     """
 
@@ -68,20 +70,9 @@ class WayFactors(NamedTuple):
     since: Ints
     way_m: Floats
     bend: Floats
-    covariance: Floats
+    times_s: Floats
+    variance: Floats
     radius_sigma: float
-
-    def rows(self, poses: Floats) -> tuple[Floats, Floats, Floats]:
-        """Derivatives by the errors of `at` and `since`, (W, 7) each; ways of the path (W,)."""
-        chord = poses[self.at, :3, 3] - poses[self.since, :3, 3]
-        length = np.linalg.norm(chord, axis=1)
-        along = (self.bend / np.maximum(length, 1e-300))[:, None] * chord
-        by_error = []
-        for keyframes in (self.at, self.since):
-            points = poses[keyframes, :3, 3]
-            by_turn, by_scale = np.cross(points, along), (along * points).sum(axis=1)
-            by_error.append(np.column_stack([by_turn, along, by_scale]))
-        return by_error[0], by_error[1], self.bend * length
 
 
 class Given(NamedTuple):
@@ -102,6 +93,27 @@ class Given(NamedTuple):
     ways: WayFactors | None = None
     scale_sigma: float | None = None
     joined: Floats | None = None
+
+
+def positions_of(poses: Floats, fixes: Fixes) -> Floats:
+    """(M, 3) of the other sensor, by the path."""
+    at = poses[fixes.at]
+    return np.asarray((at[:, :3, :3] @ fixes.in_cam[:, :, None])[:, :, 0] + at[:, :3, 3])
+
+
+def grouped(poses: Floats, fixes: Fixes, piece: Ints, most: int) -> tuple[Fixes, Ints]:
+    """About the `most` means of positions, none across a jump; (M,) the one of each position."""
+    count, points = len(fixes.at), positions_of(poses, fixes)
+    group = np.arange(count) * min(most, count) // max(count, 1)
+    group = np.cumsum((np.diff(group, prepend=0) > 0) | (np.diff(piece, prepend=0) > 0))
+    first, weight = np.flatnonzero(np.diff(group, prepend=-1)), fixes.sigma**-2
+    values = np.column_stack([fixes.times_s, points, fixes.velocity, fixes.xyz])
+    total = np.bincount(group, weight)
+    means = np.add.reduceat(values * weight[:, None], first) / total[:, None] if count else values
+    times_s, points, velocity, xyz = np.split(means, (1, 4, 7), axis=1)
+    at = fixes.at[first + np.bincount(group) // 2]
+    in_cam = sim3.inverse(poses[at]) @ np.c_[points, np.ones(len(at))][:, :, None]
+    return Fixes(times_s[:, 0], at, in_cam[:, :3, 0], velocity, xyz, 1.0 / np.sqrt(total)), group
 
 
 def white_sigma(residuals: Floats) -> float:

@@ -15,7 +15,6 @@ _MAX_TURN = 0.35  # rad, within one: its length must say nothing of turns
 _MIN_CHORD = 0.5  # of the way
 _WAY_SIGMA = 0.002  # of each way, besides its noise, at least
 _MEDIAN = 0.6745
-_SLOW_SIGMA, _SLOW_S = 0.003, 60.0  # of all ways within a minute: load, ground, temperature
 
 
 def way_factors(
@@ -55,14 +54,12 @@ def with_noise(
     fit: WheelFit,
     radius_sigma: float,
 ) -> WayFactors:
-    """Factors with the covariance of their ways, of which neighbours show a part."""
+    """Factors with the variances of their ways, of which neighbours show a part."""
     at, since, way, bend, time_s = found
     left = np.log(way / (bend * np.linalg.norm(poses[at, :3, 3] - poses[since, :3, 3], axis=1)))
     apart = np.median(np.abs(np.diff(left, 2))) / _MEDIAN / np.sqrt(6.0)
-    own = np.diag(fit.noise * way + (max(_WAY_SIGMA, apart) * way) ** 2)
-    alike = np.exp(-np.abs(time_s[:, None] - time_s) / _SLOW_S)
-    covariance = own + _SLOW_SIGMA**2 * alike * way[:, None] * way
-    return WayFactors(at, since, way, bend, covariance, radius_sigma)
+    variance = fit.noise * way + (max(_WAY_SIGMA, apart) * way) ** 2
+    return WayFactors(at, since, way, bend, time_s, variance, radius_sigma)
 
 
 def _parts(first: Ints, ways: Floats, turn: Floats, usable: Bools) -> list[list[int]]:
