@@ -7,10 +7,11 @@ import io
 import json
 import os
 from collections.abc import Callable
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
-from typer.testing import CliRunner
+from typer import testing
 
 from vo.api.report_entries import read_entries
 from vo.base.config import load_config
@@ -31,12 +32,15 @@ from vo.tools.maps.contents import map_contents
 from vo.tools.markers.marker_map import read_marker_map
 from vo.tools.objects.database_file import read_objects
 
+# All commands are built for each call, which takes longer than most files.
+testing._get_command = cache(testing._get_command)
+
 _FRAMES = 4
 
 
 def _command(*words: str) -> None:
     """Execute a command of `vo` in this process."""
-    result = CliRunner().invoke(app, list(words))
+    result = testing.CliRunner().invoke(app, list(words))
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
     if result.exit_code:
