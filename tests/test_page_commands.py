@@ -24,6 +24,8 @@ SHORTER = {
     r"vo demo$": "vo demo --help",
     r"(vo synth \S+ (?!.*panorama).*)": r"\1 --seconds 1.5 --set scale=0.25",
     r"(vo synth \S+ .*panorama.*)": r"\1 --seconds 1.5 --set scale=0.75",  # whose views are small
+    "--preset kitti": "--preset kitti --world corridor",  # whose street takes longest to build
+    "--world street": "--world warehouse",
     r"(vo sweep .*)--trials 40": r"\1--trials 1",
     "features.count=800,1500,3000 --try window.iterations=4,8": "features.count=800",
     r"(drive|clip|monday|tuesday)\.mp4": "drive.mcap",
