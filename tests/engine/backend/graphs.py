@@ -203,3 +203,35 @@ def cut(problem: GraphProblem, at: int) -> GraphProblem:
     odom = problem.odom_from_cam.copy()
     odom[at:] = sim3.inverse(odom[at]) @ odom[at:]
     return replace(problem, chain=np.minimum(chain, 1), odom_from_cam=odom)
+
+
+def to_first_lap(case: Laps, per_lap: int = 100) -> Laps:
+    """The laps with their loops to keyframes of the first one only."""
+    chosen = np.array([loop.earlier.keyframe < per_lap for loop in case.problem.loops])
+    loops = tuple(loop for loop, is_in in zip(case.problem.loops, chosen, strict=True) if is_in)
+    return replace(case, problem=with_loops(case.problem, loops), is_true=case.is_true[chosen])
+
+
+def with_drift(case: Laps, radians: float) -> Laps:
+    """The laps with odometry that turns by an angle too much with each step."""
+    odom = case.problem.odom_from_cam
+    steps, more = sim3.inverse(odom[:-1]) @ odom[1:], np.zeros(7)
+    more[1] = radians
+    path = [odom[0]]
+    for step in steps @ sim3.retract(more):
+        path.append(path[-1] @ step)
+    return replace(case, problem=replace(case.problem, odom_from_cam=np.stack(path)))
+
+
+def with_copy(case: Laps, at: int, shift_m: float, count: int = 12) -> Laps:
+    """Every second keyframe from `at` on has a loop to the lap before as seen from a copy of it."""
+    rng, shift, truth, loops = np.random.default_rng(at), np.eye(4), case.truth, []
+    shift[2, 3] = shift_m
+    for later in range(at, at + 2 * count, 2):
+        first = truth[later - 100]
+        noise = sim3.retract(np.r_[LOOP_SIGMA, 0.0] * rng.normal(size=7))
+        relation = sim3.inverse(first) @ shift @ truth[later] @ noise
+        metric = bool(case.problem.is_metric.all())
+        loops.append(_loop(later - 100, later, relation, LOOP_SIGMA, metric))
+    problem = with_loops(case.problem, (*case.problem.loops, *loops))
+    return replace(case, problem=problem, is_true=np.r_[case.is_true, np.zeros(count, dtype=bool)])

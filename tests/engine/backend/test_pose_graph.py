@@ -7,10 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from graphs import Laps, believed, cut, laps, with_loops, with_wrong_motion
+from graphs import (
+    Laps,
+    believed,
+    cut,
+    laps,
+    to_first_lap,
+    with_copy,
+    with_drift,
+    with_loops,
+    with_wrong_motion,
+)
 
+from vo.engine.backend.chain_motion import motions_of
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.backend.graph_solution import optimise_graph
+from vo.engine.backend.loop_edges import agrees_with_odometry, loop_edges
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.geometry import sim3
 from vo.engine.mapping.keyframe import FrameId
@@ -53,6 +65,35 @@ def test_exactly_the_true_loops_are_kept(false_ratio: float, groups: int) -> Non
         case = laps(seed, false_ratio=false_ratio, groups=groups)
         kept = believed(optimise_graph(case.problem), case.problem)
         np.testing.assert_array_equal(kept, case.is_true)
+
+
+def _long_laps(seed: int, radians: float) -> Laps:
+    """Ten laps with loops to the first one, with odometry that drifts."""
+    return with_drift(to_first_lap(laps(seed, keyframes=1000, loops=400)), radians)
+
+
+def test_a_path_that_drifts_by_more_than_odometry_states_is_held_by_the_loops_before() -> None:
+    for seed in range(2):
+        case = _long_laps(seed, 1e-3)
+        loops = loop_edges(case.problem)
+        by_odometry = agrees_with_odometry(loops, motions_of(case.problem))
+        assert by_odometry.mean() < 0.8
+        registered = optimise_graph(case.problem)
+        assert believed(registered, case.problem).mean() > 0.97
+        assert case.error_m(registered) < 0.03 * case.odometry_error_m()
+
+
+@pytest.mark.parametrize("shift_m", [2.0, 4.0, 16.0])
+@pytest.mark.parametrize("radians", [0.0, 1e-3])
+def test_a_copy_beside_loops_that_contradict_odometry_is_refused(
+    radians: float, shift_m: float
+) -> None:
+    for at in (200, 850):
+        case = _long_laps(at, radians)
+        copied = with_copy(case, at, shift_m)
+        kept = believed(optimise_graph(copied.problem), copied.problem)
+        assert not kept[~copied.is_true].any()
+        assert kept[copied.is_true].mean() > 0.97
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.3, 1.0])

@@ -36,14 +36,15 @@ def _loop(earlier: PlaceKey, later: Place) -> Loop:
 
 
 def _seen(database: KeyframeDatabase, times: int) -> SearchPauses:
-    """After so many visits at intervals of 20 s, each with a loop to the one before."""
+    """After so many visits at intervals of 20 s, each with a loop to the last one stored."""
     pauses, earlier = SearchPauses(database), PlaceKey(0, 0)
     for number in range(1, times + 1):
         place = _place(number, 20.0 * number)
         database.add(place, removes_redundant=False)
         assert not pauses.skips(place)
-        assert pauses.note(place, [_loop(earlier, place)]) == ()
-        earlier = place.key
+        removed = pauses.note(place, [_loop(earlier, place)])
+        assert removed == ((place.key,) if number >= 80 else ())
+        earlier = earlier if removed else place.key
     return pauses
 
 
@@ -59,7 +60,7 @@ def _pause_s(database: KeyframeDatabase, pauses: SearchPauses, times: int) -> fl
 
 
 @pytest.mark.parametrize(
-    ("times", "expected_s"), [(2, 0.1), (3, 0.5), (40, 0.5), (80, 2.0), (200, 10.0)]
+    ("times", "expected_s"), [(2, 0.1), (3, 0.5), (40, 0.5), (80, 2.0), (200, 2.0)]
 )
 def test_pauses_grow_with_the_loops_of_a_place(
     database: KeyframeDatabase, times: int, expected_s: float
@@ -68,19 +69,36 @@ def test_pauses_grow_with_the_loops_of_a_place(
     assert _pause_s(database, pauses, times) == pytest.approx(expected_s, abs=0.05)
 
 
-@pytest.mark.parametrize("has_loop", [True, False])
-def test_keyframes_between_loops_to_a_place_with_many_are_removed(
-    database: KeyframeDatabase, has_loop: bool
+@pytest.mark.parametrize("failures", [0, 1, 2, 3])
+def test_keyframes_until_a_loop_to_a_place_with_many_are_removed(
+    database: KeyframeDatabase, failures: int
 ) -> None:
-    """Without a loop after them they stay."""
+    """After three searches without a loop they stay, and all keyframes are searched."""
     pauses = _seen(database, 100)
-    between, again = _place(101, 2000.7), _place(102, 2015.0)
-    for place in (between, again):
+    places = [_place(101, 2000.7), *(_place(102 + n, 2015.0 + 0.6 * n) for n in range(4))]
+    for number, place in enumerate(places):
         database.add(place, removes_redundant=False)
-    assert pauses.skips(between) and not pauses.skips(again)
-    loops = [_loop(PlaceKey(0, 0), again)] if has_loop else []
-    assert pauses.note(again, loops) == ((between.key,) if has_loop else ())
-    assert (between.key in database) != has_loop
+        assert pauses.skips(place) == (number == 0)
+        if number == failures + 1:
+            break
+        assert number == 0 or pauses.note(place, []) == ()
+    removed = pauses.note(place, [_loop(PlaceKey(0, 0), place)])
+    stay = 4 if failures == 3 else 0
+    assert removed == tuple(each.key for each in places[stay : failures + 2])
+    assert len(database) == 4 + 79 + stay
+
+
+def test_stored_keyframes_are_bounded_in_a_place_that_is_visited_again_and_again(
+    database: KeyframeDatabase,
+) -> None:
+    """Every second search fails."""
+    pauses = SearchPauses(database)
+    for number in range(1, 400):
+        place = _place(number, 20.0 * number)
+        database.add(place, removes_redundant=False)
+        if not pauses.skips(place):
+            pauses.note(place, [_loop(PlaceKey(0, 0), place)] if number % 2 else [])
+    assert len(database) < 170
 
 
 def test_a_keyframe_that_shows_something_else_is_searched_and_stays(

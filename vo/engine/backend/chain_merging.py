@@ -17,6 +17,7 @@ from vo.engine.backend.loop_edges import (
     agreement,
     agrees_with_odometry,
     largest_agreeing,
+    supported,
 )
 from vo.engine.geometry import sim3
 
@@ -45,6 +46,19 @@ def plausible_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotio
     for rows in _by_pair_of_parts(problem, loops, result):
         result[rows] = False
         result[_agreeing_pair(loops, rows[-_MAX_COMPARED:], motions)] = True
+    return result
+
+
+def with_supported(
+    problem: GraphProblem, loops: LoopEdges, motions: ChainMotions, plausible: Bools, kept: Bools
+) -> Bools:
+    """(L,) loops that are kept, and those that only odometry contradicts, in chains."""
+    result, chain = kept.copy(), problem.chain[loops.earlier]
+    by_look = (chain == problem.chain[loops.later]) & (loops.marker < 0)
+    refused = by_look & ~plausible & ~kept
+    for number in np.unique(chain[refused]):
+        rows = np.flatnonzero(by_look & (chain == number) & (kept | refused))
+        result[rows] = supported(loops.select(rows), kept[rows], motions)
     return result
 
 

@@ -12,6 +12,7 @@ from vo.engine.backend.chain_merging import (
     place_chains,
     plausible_loops,
     with_contradicted_doubts,
+    with_supported,
     without_weak_merges,
     worlds_of,
 )
@@ -48,7 +49,7 @@ def optimise_graph(problem: GraphProblem) -> RegisteredKeyframes:
 def _solved(problem: GraphProblem, loops: LoopEdges) -> RegisteredKeyframes:
     problem = with_contradicted_doubts(problem, loops)
     motions = motions_of(problem)
-    kept = _true_loops(problem, loops, motions)
+    kept = _supported_loops(problem, loops, motions)
     chosen = loops.select(kept)
     world = worlds_of(problem, chosen)
     motions = motions_of(problem, metric_drift=USUAL)
@@ -84,12 +85,27 @@ def _wrong_motions(problem: GraphProblem, loops: LoopEdges) -> tuple[PlaceKey, .
     )
 
 
-def _true_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
+def _supported_loops(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions) -> Bools:
+    """(L,) loops that are accepted, and those that only odometry over a long path contradicts.
+
+    The latter are refused if they contradict any of the former.
+    """
+    plausible = plausible_loops(problem, loops, motions)
+    kept = _true_loops(problem, loops, motions, plausible)
+    supported = with_supported(problem, loops, motions, plausible, kept)
+    if (supported == kept).all():
+        return kept
+    more = _consistent_loops(problem, loops, motions, supported)
+    return kept if (kept & ~more).any() else more
+
+
+def _true_loops(
+    problem: GraphProblem, loops: LoopEdges, motions: ChainMotions, plausible: Bools
+) -> Bools:
     """(L,) loops that are accepted.
 
     Loops by the look of places are believed before those by markers, which may have been moved.
     """
-    plausible = plausible_loops(problem, loops, motions)
     kept = _consistent_loops(problem, loops, motions, plausible)
     by_look = plausible & (loops.marker < 0)
     if (by_look == plausible).all():

@@ -14,6 +14,9 @@ from vo.engine.places.records import PlaceKey
 
 # Squared Mahalanobis distance of seven numbers that errors exceed once in 10,000 times.
 GATE = 29.9
+# Loops that support one that contradicts odometry, all of so many nearest ones. Its own keyframes
+# are so many times further apart along the path than it is from them.
+_MIN_SUPPORTING, _MAX_SUPPORTING, _SHORTER = 3, 5, 3
 _MIN_LOG_SCALE = 1e-4  # standard deviation that a measured scale has at least
 
 
@@ -83,16 +86,21 @@ def agrees_with_odometry(loops: LoopEdges, motions: ChainMotions) -> Bools:
 
 
 def agreement(loops: LoopEdges, motions: ChainMotions) -> Bools:
-    """(L, L) whether loops between the same two chains agree with each other.
+    """(L, L) whether loops between the same two chains agree with each other."""
+    result = np.eye(len(loops), dtype=bool)
+    first, second = np.triu_indices(len(loops), 1)
+    result[first, second] = result[second, first] = _agree(loops, first, second, motions)
+    return result
+
+
+def _agree(loops: LoopEdges, first: Ints, second: Ints, motions: ChainMotions) -> Bools:
+    """(P,) whether pairs of loops agree with each other.
 
     The cycle of one loop, odometry, the other loop and odometry must be the identity.
 
     Source: Mangelson et al., "Pairwise Consistent Measurement Set Maximization for Robust
         Multi-robot Map Merging", ICRA 2018, eq. 5.
     """
-    count = len(loops)
-    result = np.eye(count, dtype=bool)
-    first, second = np.triu_indices(count, 1)
     e1, e2, l1, l2 = (
         *(loops.earlier[first], loops.earlier[second]),
         *(loops.later[first], loops.later[second]),
@@ -107,8 +115,25 @@ def agreement(loops: LoopEdges, motions: ChainMotions) -> Bools:
         + by_first @ loops.covariance[first] @ np.swapaxes(by_first, 1, 2)
         + by_earlier @ motions.covariance(e1, e2) @ np.swapaxes(by_earlier, 1, 2)
     )
-    agree = squared_distance(error, spread) < GATE
-    result[first, second] = result[second, first] = agree
+    return np.asarray(squared_distance(error, spread) < GATE)
+
+
+def supported(loops: LoopEdges, kept: Bools, motions: ChainMotions) -> Bools:
+    """(L,) loops of one chain that are kept, and those that agree with all kept ones near them.
+
+    Over a long path odometry may drift by more than it states. Then loops agree with odometry no
+    longer, one after the other, but with the loops before them, which are far nearer on the path.
+    A place that looks like another one has no such loops beside it.
+    """
+    result, refused = kept.copy(), np.flatnonzero(~kept)
+    for row in refused[np.argsort(loops.later[refused], kind="stable")]:
+        way = np.abs(loops.later - loops.later[row]) + np.abs(loops.earlier - loops.earlier[row])
+        near = np.flatnonzero(
+            result & (_SHORTER * way <= abs(loops.later[row] - loops.earlier[row]))
+        )
+        near = near[np.argsort(way[near], kind="stable")][:_MAX_SUPPORTING]
+        if len(np.unique(loops.later[near])) >= _MIN_SUPPORTING:
+            result[row] = _agree(loops, near, np.full(len(near), row), motions).all()
     return result
 
 

@@ -89,17 +89,18 @@ class PoseGraph:
 
         Keyframes of `loops` stay, for what these measured. Those removed before are ignored.
         """
-        needed = {key for loop in loops for key in (loop.earlier, loop.later)}
-        gone = {key for key in keys if key in self._nodes} - needed
+        gone = {key for key in keys if key in self._nodes}
+        gone -= {key for loop in loops if gone for key in (loop.earlier, loop.later)}
+        if not gone:  # nothing to sort, as with most keyframes
+            return
         carried: _Node | None = None
         for node in self._ordered():
             if carried is not None and carried.chain == node.chain:
                 node.covariance = _joined(carried, node)
                 node.is_doubted |= carried.is_doubted
             carried = node if node.key in gone else None
-        for key in keys:
-            if key in gone:
-                del self._nodes[key]
+        for key in gone:
+            del self._nodes[key]
 
     def submit(
         self,
