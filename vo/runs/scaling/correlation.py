@@ -12,6 +12,7 @@ path is long, it cannot show.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -44,13 +45,9 @@ def correlated_variance(
     times = _sums(group, times_s) / sizes
     weights = _sums(group, influence)
     count, width = len(times), means.shape[2]
-    apart = np.abs(times[:, None] - times)
-    shortest = _SHORTEST * float(np.median(np.diff(times)))
-    longest = max(_LONGEST * float(times[-1] - times[0]), 2.0 * shortest)
     free = max(3 * count - len(design), 1)
     logs, variances = [], []
-    for time_s in np.geomspace(shortest, longest, _TIMES).tolist():
-        values, vectors = np.linalg.eigh(np.exp(-apart / time_s))
+    for values, vectors in zip(*_modes(times.tobytes()), strict=True):
         turned = (vectors.T @ means.reshape(count, -1)).reshape(count, 3, width)
         squares = ((vectors.T @ weights) ** 2).sum(axis=1)
         for share in _SHARES:
@@ -66,6 +63,17 @@ def correlated_variance(
     likely = np.exp(np.array(logs) - max(logs))
     mean = float(likely @ variances / likely.sum())
     return mean, max(mean / variances[0], 1.0)
+
+
+@lru_cache(maxsize=4)
+def _modes(times_s: bytes) -> tuple[Floats, Floats]:
+    """Eigenvalues (T, N) and vectors (T, N, N) of the correlations of each time; of many fits."""
+    times = np.frombuffer(times_s)
+    shortest = _SHORTEST * float(np.median(np.diff(times)))
+    longest = max(_LONGEST * float(times[-1] - times[0]), 2.0 * shortest)
+    scales = np.geomspace(shortest, longest, _TIMES)[:, None, None]
+    values, vectors = np.linalg.eigh(np.exp(-np.abs(times[:, None] - times) / scales))
+    return values, vectors
 
 
 def _sums(group: Ints, values: Floats) -> Floats:
