@@ -188,6 +188,18 @@ def test_positions_of_another_path_move_nothing() -> None:
     assert found is None or not found.is_moved
 
 
+def test_a_camera_that_stands_still_is_left_where_it_is() -> None:
+    """Steps of length 0 have no covariance that could be inverted."""
+    drive = make_drive(3, USUAL, 2.0, 0.0, 0.03)
+    poses = np.repeat(drive.poses[:1], len(drive.poses), axis=0)
+
+    found = fuse_path(poses, drive.fixes, Given(NO_LOOPS, True))
+
+    assert found is not None
+    assert not found.is_moved
+    assert np.allclose(found.poses, poses, rtol=0.0, atol=1e-9)
+
+
 def test_few_positions_are_not_used() -> None:
     drive = make_drive(0)
     assert fuse_path(drive.poses, drive.fixes.rows(np.arange(8)), Given(NO_LOOPS, True)) is None

@@ -76,11 +76,22 @@ def fuse_path(poses: Floats, fixes: Fixes, given: Given) -> FusedPath | None:
         given: everything else that is known.
 
     Returns:
-        None for too few positions.
+        None for too few positions; the path as it was where the graph is not determined.
     """
     centre = (fixes.xyz if len(fixes.at) else poses[:, :3, 3]).mean(axis=0)
-    poses, fixes = poses.copy(), replace(fixes, xyz=fixes.xyz - centre)
-    poses[:, :3, 3] -= centre
+    shifted = poses.copy()
+    shifted[:, :3, 3] -= centre
+    try:
+        found = _fused(shifted, replace(fixes, xyz=fixes.xyz - centre), given)
+    except np.linalg.LinAlgError:
+        used = np.ones(len(fixes.at), bool)
+        found = _unmoved(shifted, used, Noise(0.0, 0.0, _SLOW_S))
+    if found is not None:
+        found.poses[:, :3, 3] += centre
+    return found
+
+
+def _fused(poses: Floats, fixes: Fixes, given: Given) -> FusedPath | None:
     used = without_outliers(fixes, fixes.xyz - positions_of(poses, fixes))
     fewest = _MIN_FIXES if len(fixes.at) or given.ways is None else 0
     if used.sum() < fewest:
@@ -101,14 +112,15 @@ def fuse_path(poses: Floats, fixes: Fixes, given: Given) -> FusedPath | None:
     off = np.linalg.norm((fusion.poses - poses)[:, :3, 3], axis=1)
     extent = float(np.linalg.norm(np.ptp(poses[:, :3, 3], axis=0)))
     if not is_moved or np.sqrt((off**2).mean()) > _MAX_MOVED * extent:
-        poses[:, :3, 3] += centre
-        unknown = np.full((len(poses), 7, 7), np.nan)
-        return FusedPath(poses, unknown, unknown, used, fusion.noise, 0, False)
+        return _unmoved(poses, used, fusion.noise)
     from_first, in_frame = fusion.covariances()
-    moved = fusion.poses.copy()
-    moved[:, :3, 3] += centre
     jumps = max(len(np.unique(piece)) - 1, 0)
-    return FusedPath(moved, from_first, in_frame, used, fusion.noise, jumps, is_moved)
+    return FusedPath(fusion.poses, from_first, in_frame, used, fusion.noise, jumps, is_moved)
+
+
+def _unmoved(poses: Floats, used: Bools, noise: Noise) -> FusedPath:
+    unknown = np.full((len(poses), 7, 7), np.nan)
+    return FusedPath(poses, unknown, unknown, used, noise, 0, False)
 
 
 class _Fusion:
