@@ -30,6 +30,19 @@ Odometry(Rig(Camera(320, 240, 200.0, 200.0, 160.0, 120.0)), load_config()).close
 print(Path(sys.argv[1]).exists())
 """
 
+# The command `vo warmup`, and then the functions that its process has compiled.
+WARMUP = """
+import sys
+from vo.cli.entry import main
+
+sys.argv = ["vo", "warmup"]
+try:
+    main()
+finally:
+    from vo.base.compiling.function import compiled_here
+    print(*compiled_here())
+"""
+
 
 def run(cache: Path, *command: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
@@ -48,9 +61,9 @@ def files_in(cache: Path) -> set[str]:
 
 @pytest.fixture(scope="module")
 def first_warmup(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
-    """Cache folder after `vo warmup`, and what that printed to standard output and error."""
+    """Cache folder after `WARMUP`, and what that printed to standard output and error."""
     cache = tmp_path_factory.mktemp("cache")
-    done = run(cache, VO, "warmup")
+    done = run(cache, sys.executable, "-c", WARMUP)
     return cache, done.stdout, done.stderr
 
 
@@ -79,17 +92,13 @@ def test_warmup_compiles_once(first_warmup: tuple[Path, str, str]) -> None:
     assert again.stderr == ""
 
 
-def test_first_compilation_uses_two_cores(tmp_path: Path) -> None:
-    """Of a run's functions this process compiles those that are missing in the shared folder."""
-    if available_cores() < 2:
-        pytest.skip("one core compiles in one process")
-    program = LIBRARY_USE + "from vo.base.compiling.function import compiled_here\n"
-    program += "print(*compiled_here())"
+@pytest.mark.skipif(available_cores() < 2, reason="one core compiles in one process")
+def test_first_compilation_uses_two_cores(first_warmup: tuple[Path, str, str]) -> None:
+    """This process compiles those functions that are missing in the shared folder."""
+    cache, printed, _ = first_warmup
 
-    done = run(tmp_path, sys.executable, "-c", program, tmp_path)
-
-    here = set(done.stdout.splitlines()[1].split())
-    kept = {name.split("-")[0] for name in files_in(tmp_path) if name.endswith(".bin")}
+    here = set(printed.splitlines()[-1].split())
+    kept = {name.split("-")[0] for name in files_in(cache) if name.endswith(".bin")}
     assert here < kept
     assert "vo.engine.frontend.patch_kernels.align" in here  # of the first frames
     assert "vo.engine.geometry.pnp._gauss_newton" not in here
