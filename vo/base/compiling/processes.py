@@ -13,7 +13,8 @@ def start(program: str) -> subprocess.Popen[bytes] | None:
     """Run a program that finds the same modules and shows nothing; None if that is impossible."""
     if hasattr(sys, "frozen"):  # the executable is not Python
         return None
-    path = list(map(os.path.abspath, sys.path))  # the first may be empty, which -P leaves out
+    # An empty entry means the working directory.
+    path = list(map(os.path.abspath, sys.path))
     command = [sys.executable, "-P", "-c", _SAME_MODULES.format(path=path) + program]
     nowhere = subprocess.DEVNULL
     try:
