@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vo.base.frozen import frozen
-from vo.base.types import Floats
+from vo.base.types import Bools, Floats
 
 # Points are collinear if the second singular value of their covariance is at most this times the
 # first.
@@ -56,21 +56,38 @@ def umeyama(source: Floats, target: Floats, *, with_scale: bool) -> Similarity:
         raise ValueError(f"points must be (N, 3) twice, not {source.shape} and {target.shape}")
     if len(source) < 3:
         raise ValueError(f"{len(source)} points, at least 3 needed")
-    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)  # (34), (35)
-    centred_source, centred_target = source - mean_source, target - mean_target
-    variance_source = float((centred_source**2).sum(axis=1).mean())  # (36)
-    variance_target = float((centred_target**2).sum(axis=1).mean())  # (37)
-    _check_spread(variance_source, mean_source)
-    _check_spread(variance_target, mean_target)
-    covariance = centred_target.T @ centred_source / len(source)  # (38)
+    found = umeyama_each(source[None], target[None], with_scale=with_scale)
+    (scale,), (rotation,), (translation,), (is_on_line,), (is_spread,) = found
+    if not is_spread:
+        raise ValueError("all points are in one place")
+    return Similarity(float(scale), rotation, translation, bool(is_on_line))
+
+
+def umeyama_each(
+    source: Floats, target: Floats, *, with_scale: bool
+) -> tuple[Floats, Floats, Floats, Bools, Bools]:
+    """`umeyama` for each of S sets of points (S, N, 3).
+
+    Returns:
+        (S,) scales, (S, 3, 3) rotations, (S, 3) translations, (S,) whether points are collinear,
+        and (S,) whether they are not all in one place, where the others are undetermined.
+    """
+    mean_source, mean_target = source.mean(axis=1), target.mean(axis=1)  # (34), (35)
+    centred_source, centred_target = source - mean_source[:, None], target - mean_target[:, None]
+    variance_source = (centred_source**2).sum(axis=2).mean(axis=1)  # (36)
+    variance_target = (centred_target**2).sum(axis=2).mean(axis=1)  # (37)
+    is_spread = _is_spread(variance_source, mean_source) & _is_spread(variance_target, mean_target)
+    covariance = centred_target.transpose(0, 2, 1) @ centred_source / source.shape[1]  # (38)
     u, d, vt = np.linalg.svd(covariance)
-    signs = np.ones(3)
-    if np.linalg.det(u) * np.linalg.det(vt) < 0:  # (39), (43): a reflection would fit better
-        signs[2] = -1.0
-    rotation = u @ np.diag(signs) @ vt  # (40)
-    scale = float(d @ signs) / variance_source if with_scale else 1.0  # (42)
-    translation = mean_target - scale * rotation @ mean_source  # (41)
-    return Similarity(scale, rotation, translation, bool(d[1] <= _COLLINEAR_RATIO * d[0]))
+    signs = np.ones((len(d), 3))
+    signs[np.linalg.det(u) * np.linalg.det(vt) < 0, 2] = -1.0  # (39), (43): not a reflection
+    rotation = (u * signs[:, None]) @ vt  # (40)
+    scale = np.ones(len(d))
+    if with_scale:
+        scale = (d * signs).sum(axis=1) / np.where(is_spread, variance_source, 1.0)  # (42)
+    turned = (scale[:, None, None] * rotation @ mean_source[:, :, None])[:, :, 0]
+    is_on_line = d[:, 1] <= _COLLINEAR_RATIO * d[:, 0]
+    return scale, rotation, mean_target - turned, is_on_line, is_spread  # (41)
 
 
 def line_direction(points: Floats) -> Floats:
@@ -79,7 +96,6 @@ def line_direction(points: Floats) -> Floats:
     return np.asarray(vt[0])
 
 
-def _check_spread(variance: float, mean: Floats) -> None:
-    """Raise ValueError if the variance is within rounding, some 1e-16 of the mean per axis."""
-    if variance <= (1e-12 * max(1.0, float(np.abs(mean).max()))) ** 2:
-        raise ValueError("all points are in one place")
+def _is_spread(variance: Floats, mean: Floats) -> Bools:
+    """(S,) whether variances are above rounding, some 1e-16 of the mean per axis."""
+    return np.asarray(variance > (1e-12 * np.maximum(1.0, np.abs(mean).max(axis=1))) ** 2)

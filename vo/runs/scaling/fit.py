@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.geometry.similarity import umeyama_each
 from vo.base.types import Bools, Floats, Ints
 from vo.runs.scaling.correlation import correlated_variance
 
@@ -169,22 +170,9 @@ def _best_sample(
 
 def _sampled(source: Floats, target: Floats, *, with_scale: bool) -> list[_Solution]:
     """Solutions of triples of positions (S, 3, 3), without those of triples in one place."""
-    means = source.mean(axis=1), target.mean(axis=1)
-    x, y = source - means[0][:, None], target - means[1][:, None]
-    spreads = [(each**2).sum(axis=2).mean(axis=1) for each in (x, y)]
-    smallest = [(1e-12 * np.maximum(1.0, np.abs(mean).max(axis=1))) ** 2 for mean in means]
-    u, d, vt = np.linalg.svd(y.transpose(0, 2, 1) @ x / 3.0)
-    signs = np.ones((len(d), 3))
-    signs[np.linalg.det(u) * np.linalg.det(vt) < 0.0, 2] = -1.0
-    rotations = (u * signs[:, None]) @ vt
-    scales = np.ones(len(d))
-    if with_scale:
-        scales = (d * signs).sum(axis=1) / np.maximum(spreads[0], 1e-300)
-    good = (spreads[0] > smallest[0]) & (spreads[1] > smallest[1]) & (scales > 0.0)
-    shifts = means[1] - scales[:, None] * (rotations @ means[0][:, :, None])[:, :, 0]
-    return [
-        _Solution(float(scales[k]), rotations[k], shifts[k : k + 1]) for k in np.flatnonzero(good)
-    ]
+    scale, rotation, shift, _, is_spread = umeyama_each(source, target, with_scale=with_scale)
+    good = np.flatnonzero(is_spread & (scale > 0.0))
+    return [_Solution(float(scale[k]), rotation[k], shift[k : k + 1]) for k in good]
 
 
 def _scores(solutions: list[_Solution], source: Floats, target: Floats) -> Floats:
