@@ -94,10 +94,11 @@ def _recording_for_viewer(results: Path, errors: Console) -> Path | None:
 def _run(sequence: Path, results: Path, rrd: Path | None, errors: Console) -> Summary:
     from vo.base.config import load_config
     from vo.cli.console import standard_error
-    from vo.cli.progress import make_progress, warnings_on
+    from vo.cli.messages import warnings_on
+    from vo.cli.progress import make_progress
     from vo.runs.run_recording import run
 
-    with warnings_on(standard_error(), quiet=errors.quiet):
+    with warnings_on(standard_error, quiet=errors.quiet):
         progress = make_progress(errors, quiet=errors.quiet)
         return run(sequence, results, config=load_config(), rrd=rrd, progress=progress)
 

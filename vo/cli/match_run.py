@@ -11,7 +11,8 @@ from vo.base.errors import ConfigError
 from vo.base.types import Bytes, Camera, Floats
 from vo.cli.console import standard_error
 from vo.cli.match_table import print_failures, print_pair, print_set
-from vo.cli.progress import counting, warnings_on
+from vo.cli.messages import warnings_on
+from vo.cli.progress import counting
 from vo.outputs.results.output_paths import refuse_to_overwrite
 from vo.recordings.formats.calibration import read_calibration
 from vo.recordings.sources.listing import list_images
@@ -92,7 +93,7 @@ def _match_two(request: Request) -> bool:
             check_picture(picture)
     settings = _settings(request)
     errors = request.printing.errors
-    warned = warnings_on(errors, quiet=True)
+    warned = warnings_on(lambda: errors, quiet=True)
     with request.printing.details(), warned, errors.status("matching"):
         two = _read(request, given)
         chosen = _options(request, settings, two.cameras, two.baseline)

@@ -213,13 +213,13 @@ class Printing:
     def warnings(self) -> AbstractContextManager[None]:
         """Print warnings of the library as lines on standard error."""
         from vo.cli.console import standard_error
-        from vo.cli.progress import warnings_on
+        from vo.cli.messages import warnings_on
 
-        return warnings_on(standard_error(), quiet=self.quiet)
+        return warnings_on(standard_error, quiet=self.quiet)
 
     def details(self) -> AbstractContextManager[None]:
         """Print what the library reads and decides, with --verbose."""
         from vo.cli.console import standard_error
-        from vo.cli.progress import details_on
+        from vo.cli.messages import details_on
 
-        return details_on(standard_error())
+        return details_on(standard_error)

@@ -6,9 +6,10 @@ import logging
 import re
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -16,6 +17,7 @@ import typer
 from vo.cli.echo import echo
 from vo.cli.flags import given_words, known_flags
 from vo.cli.garbage import collection_paused
+from vo.cli.messages import warnings_on
 from vo.cli.run_options import Outputs
 from vo.cli.stopping import IgnoringAtEnd, stop_signals_as_interrupts
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from vo.cli.run import RunRequest
     from vo.outputs.results.summary import Summary
     from vo.outputs.streaming.sink import PoseSink
+    from vo.runs.progress import Progress
 
 NO_PATH, UNDER_SHARE = 3, 4
 """Exit status without any pose, and where `--fail-under` is not reached."""
@@ -47,18 +50,17 @@ def execute(request: RunRequest) -> None:
         with collection_paused():
             config = _settings(request)
             import vo.runs.run_recording  # noqa: F401 - loading it collects no garbage
-            from vo.cli.console import standard_error
-            from vo.cli.progress import make_progress, warnings_on
-        console = standard_error()
-        stack.enter_context(warnings_on(console, quiet=quiet))
+        errors = cache(_standard_error)  # for the first line
+        stack.enter_context(warnings_on(errors, quiet=quiet))
         is_quiet = quiet or _is_terminal_for_poses(request.outputs)
+        progress = _progress(errors, quiet=is_quiet)
         options = {
-            "progress": IgnoringAtEnd(make_progress(console, quiet=is_quiet), signals),
+            "progress": IgnoringAtEnd(progress, signals),
             "profile_since": begun if request.outputs.profile else None,
             "flags": known_flags(),
         }
         summary = _run(request, config, options, stack)
-        _print_result(summary, request, console)
+        _print_result(summary, request, errors)
         if request.outputs.dense and summary.tracked:
             _make_dense(request)
         if request.viewer.serve:
@@ -73,8 +75,33 @@ def _process_start() -> float:
     return time.perf_counter() - (process_age_s() or 0.0)
 
 
-def _print_result(summary: Summary, request: RunRequest, errors: Console) -> None:
+def _standard_error() -> Console:
+    from vo.cli.console import standard_error
+
+    return standard_error()
+
+
+def _progress(errors: Callable[[], Console], *, quiet: bool) -> Progress:
+    from vo.runs.progress import NullProgress
+
+    if quiet:
+        return NullProgress()
+    from vo.cli.progress import make_progress
+
+    return make_progress(errors())
+
+
+def _print_result(summary: Summary, request: RunRequest, errors: Callable[[], Console]) -> None:
     """Print the summary as text or JSON; warnings that are not part of a text go to `errors`."""
+    printing = request.printing
+    if printing.json_output or not printing.quiet:
+        _print_summary(summary, request, errors)
+    if printing.json_output or printing.quiet:
+        for warning in summary.closing_warnings:
+            errors().print(f"warning: {warning}", markup=False, soft_wrap=True)
+
+
+def _print_summary(summary: Summary, request: RunRequest, errors: Callable[[], Console]) -> None:
     from vo.cli.console import standard_output
     from vo.cli.run_table import WrittenFiles, print_summary
 
@@ -88,16 +115,13 @@ def _print_result(summary: Summary, request: RunRequest, errors: Console) -> Non
     }
     files = WrittenFiles.of(request.output, others)
     record = {"output": str(request.output), "files": [str(path) for path in files.paths]}
-    console = errors if outputs.poses_on_standard_output else standard_output()
+    console = errors() if outputs.poses_on_standard_output else standard_output()
     same = (request.reading, request.frames, request.masks, request.settings, request.scale)
     options = given_words(*same)
     printing.show(
         lambda: {**summary.to_dict(), **record},
         lambda: print_summary(summary, files, console, options),
     )
-    if printing.json_output or printing.quiet:
-        for warning in summary.closing_warnings:
-            errors.print(f"warning: {warning}", markup=False, soft_wrap=True)
 
 
 def _make_dense(request: RunRequest) -> None:
