@@ -192,6 +192,22 @@ def test_damaged_data_is_not_decoded() -> None:
         assert decoded is None or np.array_equal(decoded, image)
 
 
+@pytest.mark.parametrize("length", [50, 10_000])
+def test_damaged_files_are_not_decoded(length: int) -> None:
+    """Checksums of pixel chunks are not verified, but that of all pixels together is."""
+    image = noise(30, 40)
+    packed = zlib.compress(filtered(image, [4] * 30))
+    pieces = [(b"IDAT", packed[k : k + length]) for k in range(0, len(packed), length)]
+    data = file_of([header(30, 40), *pieces])
+    assert_decoded(data, image)
+    for k in range(8, len(data)):
+        damaged = bytearray(data)
+        damaged[k] ^= 1 << RNG.integers(8)
+        decoded = png.decode_grey(bytes(damaged))
+        assert decoded is None or np.array_equal(decoded, image)
+    assert all(png.decode_grey(data[:k]) is None for k in range(len(data)))
+
+
 def test_complete_files_are_distinguished_from_damaged_ones() -> None:
     data = encoded(noise(20, 30), more=[(b"tEXt", b"Title\0a")])
     assert png.is_complete(data)

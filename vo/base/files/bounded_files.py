@@ -24,13 +24,15 @@ def read_bytes(path: Path | str, max_bytes: int) -> bytes:
         OSError: it cannot be read, is a device, a pipe or a folder, is larger, or is a pointer of
             Git LFS.
     """
-    with open_regular(path) as file:
-        size = os.fstat(file.fileno()).st_size
+    number, status = _opened(path)
+    try:
+        size = status.st_size
         if size > max_bytes:
             reason = f"it has {size} bytes; at most {max_bytes} are read"
             raise OSError(errno.EFBIG, reason, str(path))
-        # The buffer is made for all that is asked for, and some file systems state no size.
-        data = file.read(size or max_bytes)
+        data = _read(number, size or max_bytes)  # some file systems state no size
+    finally:
+        os.close(number)
     if data.startswith(_LFS_POINTER):
         raise OSError(errno.EINVAL, f"it {_LFS_REASON}", str(path))
     return data
@@ -42,17 +44,31 @@ def open_regular(path: Path | str) -> BinaryIO:
     Raises:
         OSError: it cannot be read, or is a device, a pipe or a folder.
     """
+    return open(_opened(path)[0], "rb")
+
+
+def _opened(path: Path | str) -> tuple[int, os.stat_result]:
+    """Descriptor and status of a regular file, see `open_regular`."""
     number = os.open(path, os.O_RDONLY | _NO_WAITING)
     try:
-        mode = os.fstat(number).st_mode
-        if stat.S_ISDIR(mode):
+        status = os.fstat(number)
+        if stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-        if not stat.S_ISREG(mode):
+        if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "it is a device or a pipe, not a file", str(path))
-        return open(number, "rb")
+        return number, status
     except BaseException:
         os.close(number)
         raise
+
+
+def _read(number: int, size: int) -> bytes:
+    """So many bytes, or all up to the end of the file; a call of the system may return fewer."""
+    pieces = []
+    while size and (piece := os.read(number, size)):
+        pieces.append(piece)
+        size -= len(piece)
+    return b"".join(pieces)
 
 
 def lfs_pointer_message(path: Path) -> str:

@@ -9,6 +9,7 @@ Source: Portable Network Graphics Specification (Third Edition), W3C 2025.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from struct import Struct
 
 import numpy as np
 from isal import isal_zlib
@@ -21,6 +22,7 @@ _GREY_8_BITS = bytes((8, 0, 0, 0, 0))  # depth, colour, compression, filters, in
 # Chunks without effect on the pixels that OpenCV decodes. Images with others (transparency,
 # animation, rotation) are decoded by OpenCV.
 _IGNORED = {b"tEXt", b"zTXt", b"iTXt", b"tIME", b"pHYs", b"gAMA", b"cHRM", b"sRGB", b"sBIT"}
+_LENGTH_AND_TYPE, _CHECKSUM = Struct(">I4s"), Struct(">I")
 _SUB, _UP, _AVERAGE, _PAETH = 1, 2, 3, 4
 
 
@@ -33,10 +35,11 @@ def decode_grey(data: bytes) -> Bytes | None:
     """Pixels of an 8-bit grey image, (H, W).
 
     None for other images and for damaged, cut off or unusual ones, which a general decoder must
-    handle.
+    handle. The checksum of all unpacked data finds damage, so that those of each chunk of it,
+    thirty an image in some files, are not needed.
     """
     header, packed, kind = b"", [], b""
-    for kind, content in _chunks(data):
+    for kind, content in _chunks(data, unchecked=b"IDAT"):
         if kind == b"IHDR":
             header = bytes(content)
         elif kind == b"IDAT":
@@ -56,15 +59,21 @@ def decode_grey(data: bytes) -> Bytes | None:
     return np.asarray(_undo_filters(rows))
 
 
-def _chunks(data: bytes) -> Iterator[tuple[bytes, memoryview]]:
-    """Type and content of each chunk (length, type, content, checksum) up to the first error."""
-    view, position = memoryview(data), len(SIGNATURE)
-    while position + 12 <= len(data):
-        end = position + 8 + int.from_bytes(view[position : position + 4], "big")
-        kind = bytes(view[position + 4 : position + 8])
-        checksum = int.from_bytes(view[end : end + 4], "big")
-        if end + 4 > len(data) or isal_zlib.crc32(view[position + 4 : end]) != checksum:
+def _chunks(data: bytes, unchecked: bytes = b"") -> Iterator[tuple[bytes, memoryview]]:
+    """Type and content of each chunk (length, type, content, checksum) up to the first error.
+
+    `unchecked`: type whose checksums are not verified.
+    """
+    view, position, last = memoryview(data), len(SIGNATURE), len(data) - 12
+    while position <= last:
+        length, kind = _LENGTH_AND_TYPE.unpack_from(data, position)
+        end = position + 8 + length
+        if end > last + 8:
             return
+        if kind != unchecked:
+            (checksum,) = _CHECKSUM.unpack_from(data, end)
+            if isal_zlib.crc32(view[position + 4 : end]) != checksum:
+                return
         yield kind, view[position + 8 : end]
         if kind == b"IEND":
             return
