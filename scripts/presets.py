@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from vo.base.config import Config
+from vo.base.section import Section
 from vo.base.settings import is_expert
 
 FOLDER = Path(__file__).resolve().parent.parent / "configs"
@@ -69,14 +69,14 @@ def render(preset: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _lines(model: type[BaseModel], section: str, changes: dict[str, Any]) -> Iterator[str]:
+def _lines(model: type[Section], section: str, changes: dict[str, Any]) -> Iterator[str]:
     indent = "  " if section else ""
     fields = sorted(model.model_fields.items(), key=lambda field: is_expert(field[1]))
     has_expert_line = False
     for name, info in fields:
-        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
-            yield from ("", f"# {_one_line(info.annotation.__doc__)}", f"{name}:")
-            yield from _lines(info.annotation, f"{name}.", changes)
+        if isinstance(info.default, Section):
+            yield from ("", f"# {_one_line(info.default.__doc__)}", f"{name}:")
+            yield from _lines(type(info.default), f"{name}.", changes)
             continue
         if is_expert(info) and not has_expert_line:
             has_expert_line = True

@@ -39,6 +39,7 @@ ENTRANCES = {
     "vo.__main__": {"vo.cli"},
     "data_synth": {
         *("vo.base.errors", "vo.base.extras", "vo.base.types", "vo.base.settings"),
+        "vo.base.section",
         *("vo.base.version", "vo.base.compiling", "vo.base.geometry", "vo.recordings.formats"),
     },
 }
@@ -47,7 +48,7 @@ ENTRANCES = {
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.base": (
         {"errors", "failures", "faults", "printable", "scheduling", "stopwatch", "version"}
-        | {"compiling", "frozen", "option_names"},
+        | {"compiling", "frozen", "option_names", "section"},
         {"files"},
         {"extras", "settings", "types"},
         {"feature_settings", "geometry", "images", "noise_classes", "records"},

@@ -10,10 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
-
-import yaml
-from pydantic import AfterValidator, BeforeValidator, Field
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from vo.base.feature_settings import DescriptorName as DescriptorName
 from vo.base.feature_settings import DetectorName as DetectorName
@@ -21,9 +18,9 @@ from vo.base.feature_settings import FeaturesConfig as FeaturesConfig
 from vo.base.feature_settings import MatchingConfig as MatchingConfig
 from vo.base.feature_settings import MatchingName as MatchingName
 from vo.base.images.image_areas import anchored, parse_area
+from vo.base.section import Section, expert, setting
 from vo.base.settings import (
-    Section,
-    expert,
+    as_yaml,
     find_preset,
     names_in,
     preset_folder,
@@ -32,6 +29,9 @@ from vo.base.settings import (
     set_value,
     validate,
 )
+
+if TYPE_CHECKING:  # for annotations; see `vo.base.section`
+    from pydantic import Field
 
 _log = logging.getLogger(__name__)
 
@@ -52,7 +52,7 @@ class PatchConfig(Section):
 class StereoConfig(Section):
     """Stereo matching, and depth cameras."""
 
-    row_correction: bool = Field(
+    row_correction: bool = setting(
         True,
         description="estimate and correct vertical disparities (a wrong extrinsic calibration)",
     )
@@ -71,8 +71,8 @@ class StereoConfig(Section):
 class StartConfig(Section):
     """Initialisation of the map."""
 
-    min_points: int = Field(50, ge=8, description="minimum landmarks of the first map")
-    min_parallax_deg: float = Field(
+    min_points: int = setting(50, ge=8, description="minimum landmarks of the first map")
+    min_parallax_deg: float = setting(
         1.0, gt=0, description="mono: minimum parallax of the best `min_points` points"
     )
     min_matches: int = expert(80, ge=8, description="mono: minimum matches of the two views")
@@ -86,17 +86,17 @@ class StartConfig(Section):
 class TrackingConfig(Section):
     """Tracking of each frame against the local map."""
 
-    every: int = Field(1, ge=1, description="track every N-th frame, interpolate those between")
-    method: Literal["patches", "klt"] = Field(
+    every: int = setting(1, ge=1, description="track every N-th frame, interpolate those between")
+    method: Literal["patches", "klt"] = setting(
         "patches",
         description="how landmarks are found in a frame: by their patches, where they are "
         "predicted, or by optical flow from the frame before (klt)",
     )
-    max_landmarks: int = Field(1000, ge=50, description="maximum landmarks aligned in a frame")
-    recover_frames: int = Field(
+    max_landmarks: int = setting(1000, ge=50, description="maximum landmarks aligned in a frame")
+    recover_frames: int = setting(
         10, ge=0, description="frames of relocalisation attempts before a new segment begins"
     )
-    min_inliers: int = Field(
+    min_inliers: int = setting(
         20,
         ge=12,
         description="minimum inliers of a tracked frame; half as many are enough where they are "
@@ -115,22 +115,22 @@ class TrackingConfig(Section):
 class KeyframeConfig(Section):
     """Keyframe decision."""
 
-    min_tracked_ratio: float = Field(
+    min_tracked_ratio: float = setting(
         0.75, gt=0, le=1, description="minimum ratio of the last keyframe's landmarks still tracked"
     )
-    min_tracked: int = Field(
+    min_tracked: int = setting(
         200, ge=0, description="stereo: minimum tracked landmarks while moving"
     )
-    min_tracked_mono: int = Field(
+    min_tracked_mono: int = setting(
         100, ge=0, description="mono: minimum tracked landmarks while moving"
     )
-    min_parallax_deg: float = Field(
+    min_parallax_deg: float = setting(
         3.0, gt=0, description="stereo: median parallax from which a frame becomes a keyframe"
     )
-    min_parallax_mono_deg: float = Field(
+    min_parallax_mono_deg: float = setting(
         2.5, gt=0, description="mono: median parallax from which a frame becomes a keyframe"
     )
-    max_gap_s: float = Field(1.0, gt=0, description="maximum time between keyframes while moving")
+    max_gap_s: float = setting(1.0, gt=0, description="maximum time between keyframes while moving")
 
     def in_mono(self) -> KeyframeConfig:
         """The settings for a single camera, under the names of those for stereo."""
@@ -144,9 +144,9 @@ class KeyframeConfig(Section):
 class MappingConfig(Section):
     """Landmarks of the local map."""
 
-    new_per_keyframe: int = Field(600, ge=20, description="maximum new landmarks of a keyframe")
-    neighbours: int = Field(4, ge=1, description="mono: keyframes to triangulate with")
-    fuse_keyframes: int = Field(
+    new_per_keyframe: int = setting(600, ge=20, description="maximum new landmarks of a keyframe")
+    neighbours: int = setting(4, ge=1, description="mono: keyframes to triangulate with")
+    fuse_keyframes: int = setting(
         4, ge=0, description="earlier keyframes in which new landmarks are searched"
     )
     min_parallax_deg: float = expert(
@@ -177,16 +177,16 @@ _METRIC_WINDOW, _MONO_WINDOW = WindowSize(6, 4, 1000), WindowSize(8, 16, 1600)
 class SmoothingConfig(Section):
     """Sliding-window bundle adjustment."""
 
-    window: int | None = Field(
+    window: int | None = setting(
         None, ge=2, le=100, description="keyframes whose poses are optimised; null: 6, mono 8"
     )
-    fixed: int | None = Field(
+    fixed: int | None = setting(
         None, ge=1, le=100, description="older keyframes kept fixed in the window; null: 4, mono 16"
     )
-    max_landmarks: int | None = Field(
+    max_landmarks: int | None = setting(
         None, ge=50, description="maximum landmarks in the window; null: 1000, mono 1600"
     )
-    iterations: int = Field(8, ge=1, description="maximum Levenberg-Marquardt iterations")
+    iterations: int = setting(8, ge=1, description="maximum Levenberg-Marquardt iterations")
     relative_error_tolerance: float = expert(
         1e-3, gt=0, description="relative decrease of the cost below which iterations stop"
     )
@@ -213,13 +213,13 @@ class SmoothingConfig(Section):
 class RefinementConfig(Section):
     """Online calibration, and adjustment at the end."""
 
-    disparity_correction: bool = Field(
+    disparity_correction: bool = setting(
         True, description="stereo: estimate and correct a disparity bias, constant or curved"
     )
-    lens_correction: bool = Field(
+    lens_correction: bool = setting(
         True, description="estimate and correct an error of the lens, in stereo of both lenses"
     )
-    rounds: int = Field(
+    rounds: int = setting(
         0,
         ge=0,
         le=20,
@@ -245,24 +245,20 @@ def _are_areas(texts: tuple[str, ...]) -> tuple[str, ...]:
     return texts
 
 
-_Texts = Annotated[tuple[str, ...], BeforeValidator(_as_texts)]
-_Areas = Annotated[_Texts, AfterValidator(_are_areas)]
-
-
 class CameraConfig(Section):
     """Properties of the cameras, beside those of their calibration."""
 
-    focal: Literal["auto", "constant", "slow"] = Field(
+    focal: Literal["auto", "constant", "slow"] = setting(
         "auto",
         description="slow: zoom and autofocus are followed; auto: where a change is noticed",
     )
-    field_of_view: Literal["auto", "cropped", "whole"] = Field(
+    field_of_view: Literal["auto", "cropped", "whole"] = setting(
         "auto", description="how much of wide lenses is used (docs/wide-lenses.md)"
     )
-    baseline_m: float | None = Field(
+    baseline_m: float | None = setting(
         None, gt=0, le=100, description="distance of both cameras of a pair without calibration"
     )
-    readout_s: Annotated[float, Field(ge=0, le=0.2)] | Literal["auto"] | None = Field(
+    readout_s: Annotated[float, Field(ge=0, le=0.2)] | Literal["auto"] | None = setting(
         None,
         description="time from the first to the last row of an image in seconds, 0 for a global "
         "shutter; null for that of the calibration (docs/calibration.md); auto: by the images",
@@ -272,28 +268,33 @@ class CameraConfig(Section):
 class InertialConfig(Section):
     """Inertial sensor of a recording."""
 
-    enabled: bool = Field(
+    enabled: bool = setting(
         True, description="use the inertial sensor of a recording, where its pose is known"
     )
+
+
+def _areas(description: str) -> Any:
+    return setting((), before=_as_texts, after=_are_areas, description=description)
 
 
 class MasksConfig(Section):
     """Parts of the images, in pixels as recorded, that are not used (docs/recordings.md)."""
 
-    files: _Texts = Field(
-        (), description="images of the size of the left and the right ones; 0 (black) is not used"
-    )
-    ignore: _Areas = Field(
+    files: tuple[str, ...] = setting(
         (),
-        description="not used: x,y,width,height or a polygon x1,y1,x2,y2,x3,y3,…; right: before it",
+        before=_as_texts,
+        description="images of the size of the left and the right ones; 0 (black) is not used",
     )
-    roi: _Areas = Field((), description="region of interest: only these areas are used")
+    ignore: tuple[str, ...] = _areas(
+        "not used: x,y,width,height or a polygon x1,y1,x2,y2,x3,y3,…; right: before it"
+    )
+    roi: tuple[str, ...] = _areas("region of interest: only these areas are used")
 
 
 class MemoryConfig(Section):
     """Memory beyond the local map (docs/memory.md)."""
 
-    loops: bool | Literal["auto"] = Field(
+    loops: bool | Literal["auto"] = setting(
         "auto",
         description="recognise places that were seen before, close loops; auto: in recordings, not "
         "of live sources or in a program, with features.detector=orb",
@@ -311,8 +312,8 @@ class MemoryConfig(Section):
 class Config(Section):
     """All settings of a run."""
 
-    seed: int = Field(0, ge=0, le=10**9, description="seed of every random choice")
-    threads: int = Field(
+    seed: int = setting(0, ge=0, le=10**9, description="seed of every random choice")
+    threads: int = setting(
         0, ge=0, description="cores to use, 0 for all; the result does not depend on it"
     )
     camera: CameraConfig = CameraConfig()
@@ -372,7 +373,7 @@ def load_config(config: str | Path = "default", overrides: Sequence[str] = ()) -
     """
     path = find_preset(config, preset_folder())
     is_default = path == preset_folder() / "default.yaml"
-    merged = {} if is_default else read_settings(path)  # YAML takes 12 ms
+    merged = {} if is_default else read_settings(path)
     _anchor_files(merged, path.parent)
     renamed = replace_old_names(merged, _RENAMED)
     for text in overrides:  # each replaces what comes before it, by whichever name
@@ -396,4 +397,4 @@ def _anchor_files(merged: dict[str, Any], folder: Path) -> None:
 
 def dump_config(config: Config) -> str:
     """The merged settings as YAML that `load_config` reads back."""
-    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+    return as_yaml(config)

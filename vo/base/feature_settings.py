@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, get_args
+from typing import Literal, get_args
 
-from pydantic import AfterValidator, Field
-
-from vo.base.settings import Section, expert
+from vo.base.section import Section, expert, setting
 
 DetectorName = Literal[
     "orb",
@@ -61,14 +59,14 @@ DescriptorName = Literal[
 class FeaturesConfig(Section):
     """Features: by default ORB, spread over the image by a grid."""
 
-    count: int = Field(1500, ge=50, le=20000, description="features per image")
-    detector: Annotated[str, AfterValidator(_known_detector)] = Field(
-        "orb", description="what finds features (docs/features.md)"
+    count: int = setting(1500, ge=50, le=20000, description="features per image")
+    detector: str = setting(
+        "orb", after=_known_detector, description="what finds features (docs/features.md)"
     )
-    descriptor: DescriptorName = Field(
+    descriptor: DescriptorName = setting(
         "auto", description="what describes them; auto for the one that suits the detector"
     )
-    rescue: Literal["auto", "none", "xfeat"] = Field(
+    rescue: Literal["auto", "none", "xfeat"] = setting(
         "auto",
         description="learned features where orb fails, and only there; auto: xfeat where its file "
         "is there, in recordings of one camera without an inertial sensor",
@@ -112,7 +110,7 @@ MatchingName = Literal[
 class MatchingConfig(Section):
     """Descriptor matching."""
 
-    method: MatchingName = Field(
+    method: MatchingName = setting(
         "auto",
         description="search where nothing is predicted; auto is exact and fits the descriptor; mnn "
         "for mutual nearest neighbours without ratio test; others in docs/features.md",

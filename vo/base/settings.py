@@ -6,32 +6,22 @@ An unknown key is an error that suggests the most similar one.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
-
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from pydantic.fields import FieldInfo
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from vo.base.errors import ConfigError
-from vo.base.files.bounded_documents import load_yaml
 from vo.base.files.bounded_files import read_text
+from vo.base.section import Section
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
 
 _MAX_BYTES = 2**20
-
-
-class Section(BaseModel):
-    """A group of settings; unknown keys are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
+_WORD, _NUMBER = re.compile("[a-z_]+"), re.compile(r"-?\d+(\.\d+)?")
+_VALUES = {"null", "true", "false", "yes", "no", "on", "off"}  # words that are no text
 _S = TypeVar("_S", bound=Section)
-
-
-def expert(default: Any, **options: Any) -> Any:
-    """A pydantic `Field` marked as a setting for experts."""
-    return Field(default, json_schema_extra={"expert": True}, **options)
 
 
 def is_expert(info: FieldInfo) -> bool:
@@ -79,6 +69,8 @@ def read_settings(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: it cannot be read, or contains no mapping.
     """
+    from vo.base.files.bounded_yaml import load_yaml
+
     try:
         data = load_yaml(read_text(path, _MAX_BYTES))
     except (OSError, ValueError) as error:
@@ -101,6 +93,8 @@ def set_value(merged: dict[str, Any], text: str) -> None:
     key, separator, value = text.partition("=")
     if not separator or not key.strip():
         raise ConfigError(f"invalid setting '{text}'; use section.key=value")
+    from vo.base.files.bounded_yaml import load_yaml
+
     try:
         parsed = load_yaml(value)
     except ValueError as error:
@@ -154,13 +148,17 @@ def validate(
     Raises:
         ConfigError: unknown key, or a value of the wrong type or out of range.
     """
+    if not merged:
+        return model()
+    from pydantic import ValidationError
+
     try:
         return model.model_validate(merged)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         if first["type"] == "extra_forbidden":
-            known = list(_keys(model))
+            known = list(_keys(model()))
             raise ConfigError(
                 f"unknown setting '{key}' in {origin}{nearest(key, known)}"
             ) from error
@@ -174,14 +172,51 @@ def validate(
         ) from error
 
 
+def as_yaml(section: Section) -> str:
+    """All settings as YAML, as PyYAML writes them; it is loaded only where it is needed."""
+    try:
+        return "".join(_lines(section, ""))
+    except ValueError:
+        import yaml
+
+        return yaml.safe_dump(section.model_dump(mode="json"), sort_keys=False)
+
+
+def _lines(section: Section, indent: str) -> Iterator[str]:
+    for name in section.names():
+        value = getattr(section, name)
+        if isinstance(value, Section):
+            yield f"{indent}{name}:\n"
+            yield from _lines(value, f"{indent}  ")
+        else:
+            yield f"{indent}{name}: {_plain(value)}\n"
+
+
+def _plain(value: Any) -> str:
+    """A value that YAML writes in one obvious way.
+
+    Raises:
+        ValueError: it is another one.
+    """
+    if value == "" or value == ():
+        return "''" if value == "" else "[]"
+    text = str(value)
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else text.lower()
+    is_word = isinstance(value, str) and _WORD.fullmatch(text) and text not in _VALUES
+    if is_word or (isinstance(value, int | float) and _NUMBER.fullmatch(text)):
+        return text
+    raise ValueError(text)
+
+
 def nearest(word: str, known: Sequence[str]) -> str:
     """A suggestion of the most similar known word, or an empty string."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.3)
     return f"; did you mean '{close[0]}'?" if close else ""
 
 
-def _keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    for name, info in model.model_fields.items():
+def _keys(section: Section, prefix: str = "") -> Iterator[str]:
+    for name in section.names():
         yield prefix + name
-        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
-            yield from _keys(info.annotation, f"{prefix}{name}.")
+        if isinstance(value := getattr(section, name), Section):
+            yield from _keys(value, f"{prefix}{name}.")

@@ -20,6 +20,7 @@ from vo.cli.command import Command
 from vo.cli.echo import echo
 from vo.cli.flags import speak_as
 from vo.cli.help_levels import FIRST_OPTIONS, help_all_option
+from vo.cli.plain_values import read_plainly
 
 # Such as a number of a million digits in a damaged file.
 _LONG_WORD = re.compile(r"(\S{200})\S{800,}")
@@ -27,6 +28,9 @@ _LONG_WORD = re.compile(r"(\S{200})\S{800,}")
 
 class _Group(TyperGroup):
     """Prints a `VoError` or OSError of any command as one line and exits with status 1."""
+
+    def get_params(self, ctx: Any) -> Any:
+        return read_plainly(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         if not ctx.resilient_parsing:  # of a line that the shell completes

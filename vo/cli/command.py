@@ -16,6 +16,7 @@ from vo.cli.echo import echo
 from vo.cli.flags import speak_as
 from vo.cli.heartbeat import heartbeat
 from vo.cli.help_levels import first_level
+from vo.cli.plain_values import read_plainly
 
 _RENAMED = {
     "convert": {"--source-format": "--format"},
@@ -30,6 +31,10 @@ _WITH_LINES = ("run", "batch", "sweep", "view")  # these print lines of their ow
 
 class Command(TyperCommand):
     """A command that understands options of the release before, and `--verbose`."""
+
+    def get_params(self, ctx: Any) -> Any:
+        """The arguments and options."""
+        return read_plainly(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments after the name of the command."""

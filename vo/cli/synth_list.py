@@ -9,7 +9,7 @@ from rich.table import Table
 
 from data_synth.cameras import camera_names, load_rig
 from data_synth.recipe import Effects, ImuRecipe, Recipe, load_recipe, recipe_names
-from vo.base.settings import Section
+from vo.base.section import Section
 
 
 def choices() -> dict[str, Any]:
@@ -58,7 +58,7 @@ def _cameras() -> Table:
 def _settings(title: str, model: type[Section], prefix: str) -> Table:
     table = Table("setting", "default", "meaning", title=title, box=None)
     for name, info in model.model_fields.items():
-        if isinstance(info.annotation, type) and issubclass(info.annotation, Section):
+        if isinstance(info.default, Section):
             continue
         choices = getattr(info.annotation, "__args__", ())
         meaning = (info.description or "") + (": " if choices else "")

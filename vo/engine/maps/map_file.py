@@ -19,8 +19,8 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from vo.base.errors import OutputError, SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import open_regular
+from vo.base.files.bounded_json import load_json
 from vo.base.files.complete_file import complete_file
 from vo.base.types import Camera
 from vo.engine.maps.checks import (

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from vo.base.files.bounded_documents import load_json
+from vo.base.files.bounded_json import load_json
 from vo.engine.mapping.keyframe import FrameId
 from vo.engine.places.records import PATCH_PX, Place, PlaceKey, PlaceLandmarks
 

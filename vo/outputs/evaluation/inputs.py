@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from vo.base.errors import CalibrationError, EvaluationError, SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.base.types import Mode, Trajectory
 from vo.outputs.evaluation.association import frame_numbers, predicted, segment_numbers
 from vo.outputs.evaluation.evaluation import evaluate

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.errors import SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.base.types import Floats, Ints, Trajectory
 from vo.outputs.report.summary_schema import check_summary
 from vo.recordings.formats.trajectory import read_tum

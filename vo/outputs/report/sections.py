@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.files.bounded_documents import load_json, load_yaml
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
+from vo.base.files.bounded_yaml import load_yaml
 from vo.base.types import Bytes, Ints
 from vo.outputs.report.entry import Entry, Thumbnail
 from vo.outputs.report.markup import Markup, element, inline_svg, join, number, table

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.errors import SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.base.geometry.geodesy import enu_from_geodetic
 from vo.base.geometry.similarity import Similarity, umeyama
 from vo.base.geometry.transforms import inverse, so3_exp

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path, PurePath
 
 from vo.base.errors import OutputError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.outputs.results.folder import PARTIAL_FILES, RESULTS, SUMMARY
 
 

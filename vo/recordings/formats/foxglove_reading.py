@@ -20,7 +20,7 @@ from google.protobuf.message import Message as PbMessage
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from vo.base.errors import SourceError
-from vo.base.files.bounded_documents import load_json
+from vo.base.files.bounded_json import load_json
 from vo.recordings.formats.camera_messages import RawCalibration, calibration_message
 from vo.recordings.formats.foxglove import imu_class
 from vo.recordings.formats.messages import (

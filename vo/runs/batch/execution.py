@@ -25,8 +25,8 @@ from typing import IO
 from vo.base.compiling.processor import use_common_instructions
 from vo.base.config import load_config
 from vo.base.errors import OutputError, VoError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.base.option_names import Flag, with_flags
 from vo.runs.batch.fingerprint import fingerprint
 from vo.runs.batch.job import Job, JobResult, JobStatus

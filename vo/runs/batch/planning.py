@@ -14,8 +14,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from vo.base.errors import ConfigError, SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.registry import VIDEO_SUFFIXES, detect_format
 from vo.runs.batch.datasets import sequences_of

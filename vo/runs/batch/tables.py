@@ -13,8 +13,8 @@ from statistics import median
 from typing import Any
 
 from vo.base.errors import SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
 from vo.base.printable import spreadsheet_row
 from vo.base.version import __version__
 from vo.outputs.results.folder import write_atomically

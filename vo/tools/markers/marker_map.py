@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from vo.base.errors import ConfigError, SourceError
-from vo.base.files.bounded_documents import load_json, load_yaml
 from vo.base.files.bounded_files import read_text
+from vo.base.files.bounded_json import load_json
+from vo.base.files.bounded_yaml import load_yaml
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
 from vo.base.types import Floats
 from vo.engine.markers.dictionaries import AUTO, dictionary_name, marker_count

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.errors import OutputError, SourceError
-from vo.base.files.bounded_documents import load_json
 from vo.base.files.bounded_files import read_bytes
+from vo.base.files.bounded_json import load_json
 from vo.base.files.complete_file import complete_file
 from vo.base.types import Floats32
 from vo.tools.objects.stored_objects import Part, Solid, StoredObject

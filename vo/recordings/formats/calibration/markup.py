@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from typing import Any
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Any
 
-import yaml
+from vo.base.files.bounded_json import load_json
 
-from vo.base.files.bounded_documents import SafeLoader, load_json, load_yaml
+if TYPE_CHECKING:  # both languages are loaded where a file is written in them
+    from xml.etree import ElementTree
 
 # Errors of the parsers, and of the constructors of values that they do not catch.
 _FAILURES = (
-    ElementTree.ParseError,
     ArithmeticError,
     AttributeError,
     LookupError,
     RecursionError,
+    SyntaxError,  # of XML
     TypeError,
     ValueError,
 )
 MAX_YAML_BYTES = 500_000
 """YAML takes about 7 s per megabyte; calibration files with all board corners have 0.1 MB."""
-_OPENCV_HEADER = re.compile(r"\A\s*%YAML[: ]1\.\d[^\n]*\n")
-_KEY_WITHOUT_SPACE = re.compile(r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", re.MULTILINE)
-
-
-class _Loader(SafeLoader):
-    """Safe YAML loader that reads OpenCV's matrices as mappings."""
-
-
-def _matrix(loader: _Loader, node: yaml.MappingNode) -> Any:
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def sections_of(text: str) -> tuple[Mapping[str, Any], str]:
@@ -68,15 +54,16 @@ def _json(text: str) -> Any:
 
 
 def _yaml(text: str) -> Any:
-    if _OPENCV_HEADER.match(text):
-        text = _OPENCV_HEADER.sub("", text)
-        text = _KEY_WITHOUT_SPACE.sub(r"\1: ", text)  # OpenCV allows `key:value`
-    return load_yaml(text.replace("\t", " "), _Loader, first_only=True)
+    from vo.recordings.formats.calibration.opencv_yaml import load_opencv_yaml
+
+    return load_opencv_yaml(text)
 
 
 def _xml(text: str) -> dict[str, Any]:
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise ValueError("declarations of entities are not allowed")
+    from xml.etree import ElementTree
+
     return {node.tag: _xml_value(node) for node in ElementTree.fromstring(text)}
 
 

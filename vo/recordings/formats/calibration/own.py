@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from vo.base.errors import CalibrationError, OutputError
 from vo.base.geometry.cameras import equirectangular
@@ -87,6 +86,8 @@ def write_calibration(
         data["imu"] = _imu_section(imu)
     # default_flow_style=None: lists of numbers on one line, sections on several.
     text = "".join(f"# {line}\n" for line in comments)
+    import yaml
+
     text += yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=200)
     try:
         Path(path).write_text(text, encoding="utf-8", newline="\n")

@@ -1,20 +1,17 @@
-"""Parsing of YAML and JSON that may be anything: no text expands, and every error is a ValueError.
+"""Parsing of YAML that may be anything: no text expands, and every error is a ValueError.
 
 A YAML alias repeats what it refers to, and an alias may refer to aliases: 1 kB can stand for
-gigabytes. The parsers of both languages are recursive, and accept numbers of any length.
+gigabytes. The parser is recursive, and accepts numbers of any length.
 """
 
 from __future__ import annotations
 
-import json
-import re
 from typing import Any
 
 import yaml
 
 _MAX_NODES = 200_000  # with all aliases expanded
 _MAX_DIGITS = 100
-_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 class SafeLoader(yaml.SafeLoader):
@@ -107,19 +104,3 @@ def load_yaml(
     finally:
         if made is not None:
             made.dispose()
-
-
-def load_json(text: str | bytes) -> Any:
-    r"""The value of a JSON text; halves of characters, as `\ud800`, are replaced.
-
-    Raises:
-        ValueError: it is not JSON, is nested too deeply, or a number is too long.
-    """
-    try:
-        value = json.loads(text)
-        if isinstance(text, str) and _SURROGATE.search(text):
-            clean = json.dumps(value, ensure_ascii=False).encode(errors="replace")
-            value = json.loads(clean)
-        return value
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
