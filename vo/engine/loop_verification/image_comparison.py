@@ -59,12 +59,16 @@ class _View:
         margin, size = COMPARED_PX // 2, np.array(self.image.shape[::-1])
         return np.asarray(((pixels >= margin) & (pixels <= size - 1 - margin)).all(axis=1))
 
-    def windows(self, pixels: Floats, steps: Floats, side: int) -> Floats32:
-        """(n, side, side) grey levels around pixels (n, 2), with steps (n, 2, 2) of a pixel."""
+    def windows(self, pixels: Floats, size: Floats, rotation: Floats, side: int) -> Floats32:
+        """(n, side, side) grey levels around pixels (n, 2), with turned steps of sizes (n,)."""
+        if not len(pixels):
+            return np.empty((0, side, side), np.float32)
         across = np.arange(side) - side // 2
-        offsets = np.stack(np.meshgrid(across, across), axis=-1).reshape(-1, 2).astype(np.float64)
-        at = (pixels[:, None] + offsets @ np.swapaxes(steps, 1, 2)).astype(np.float32)
-        u, v = (np.ascontiguousarray(at[..., axis]) for axis in (0, 1))
+        offsets = rotation @ np.stack(np.meshgrid(across, across)).reshape(2, -1)
+        u, v = (
+            (pixels[:, axis, None] + size[:, None] * offsets[axis]).astype(np.float32)
+            for axis in (0, 1)
+        )
         grey = cv2.remap(self.image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(grey.reshape(-1, side, side), np.float32)
 
@@ -96,49 +100,60 @@ def _correlations(
 ) -> Floats:
     """(n,) of windows around landmarks of the first keyframe of a visit that are reliable."""
     here = _View(visit[0].thumbnail, camera)
-    found = _by_landmark(landmarks, here, there, there_from_here)
-    again = np.full(landmarks.own, np.nan)
+    windows = _windows_here(landmarks, here)
+    found = _correlation(windows, here, there, there_from_here)
+    windows, found = windows.select(np.isfinite(found)), found[np.isfinite(found)]
+    again = np.full(len(found), np.nan)
     for other in visit[1 : 1 + _CONTROLS]:
+        rows = np.flatnonzero(~(again <= _SEEN_AGAIN))  # the others differ already
         motion = inverse(other.odom_from_cam) @ visit[0].odom_from_cam
-        again = np.fmin(
-            again, _by_landmark(landmarks, here, _View(other.thumbnail, camera), motion)
-        )
-    return np.asarray(found[np.isfinite(found) & (again > _SEEN_AGAIN)])
+        more = _correlation(windows.select(rows), here, _View(other.thumbnail, camera), motion)
+        again[rows] = np.fmin(again[rows], more)
+    return np.asarray(found[again > _SEEN_AGAIN])
 
 
-def _by_landmark(
-    landmarks: MergedLandmarks, here: _View, there: _View, there_from_here: Floats
-) -> Floats:
-    """(own,) correlation of the windows around each landmark, NaN where there are none."""
-    result = np.full(landmarks.own, np.nan)
-    view = in_view(there_from_here, landmarks, here.camera, there.camera)
-    every = -(-landmarks.own // _MAX_LANDMARKS)
-    own = (view.rows < landmarks.own) & (view.rows % max(every, 1) == 0)
-    rows, size = view.rows[own], view.size[own]
-    source, target = here.pixels(landmarks.xy[rows]), there.pixels(view.xy[own])
-    shift = _shift(landmarks, rows, there, there_from_here)
-    inside = here.holds(source) & there.holds(target) & (shift < _MAX_SHIFT_PX)
-    rows, size, source, target = rows[inside], size[inside], source[inside], target[inside]
-    if len(rows) == 0:
-        return result
-    template = here.windows(source, np.broadcast_to(np.eye(2), (len(rows), 2, 2)), COMPARED_PX)
+class _Windows(NamedTuple):
+    """Landmarks (n,) of a keyframe, and what it shows around them."""
+
+    xyz: Floats
+    sigma: Floats
+    grey: Floats32
+
+    def select(self, rows: Ints | Bools) -> _Windows:
+        """Some of them."""
+        return _Windows(self.xyz[rows], self.sigma[rows], self.grey[rows])
+
+
+def _windows_here(landmarks: MergedLandmarks, here: _View) -> _Windows:
+    """Those with contrast."""
+    rows = np.arange(0, landmarks.own, max(-(-landmarks.own // _MAX_LANDMARKS), 1))
+    pixels = here.pixels(landmarks.xy[rows])
+    inside = here.holds(pixels)
+    rows, pixels = rows[inside], pixels[inside]
+    grey = here.windows(pixels, np.ones(len(rows)), np.eye(2), COMPARED_PX)
+    contrast = grey.reshape(-1, COMPARED_PX**2).std(axis=1) > _MIN_CONTRAST
+    return _Windows(landmarks.xyz[rows], landmarks.sigma[rows], grey).select(contrast)
+
+
+def _correlation(windows: _Windows, here: _View, there: _View, there_from_here: Floats) -> Floats:
+    """(n,) correlation of windows with those that the other image shows, NaN where it has none."""
+    result = np.full(len(windows.xyz), np.nan)
+    seen = in_view(there_from_here, windows.xyz, here.camera, there.camera)
+    target = there.pixels(seen.xy)
+    shift = _shift(windows.xyz[seen.rows], windows.sigma[seen.rows], there, there_from_here)
+    inside = there.holds(target) & (shift < _MAX_SHIFT_PX)
+    rows, size = seen.rows[inside], seen.size[inside] * there.scale[1] / here.scale[1]
     rotation = there_from_here[:2, :2]
     rotation = rotation / np.sqrt(max(abs(np.linalg.det(rotation)), 1e-12))
-    steps = (size * there.scale[1] / here.scale[1])[:, None, None] * rotation
-    area = there.windows(target, steps, _SEARCHED_PX)
-    correlation = largest_correlation(template, area)
-    contrast = template.reshape(len(rows), -1).std(axis=1) > _MIN_CONTRAST
-    result[rows[contrast]] = correlation[contrast]
+    area = there.windows(target[inside], size, rotation, _SEARCHED_PX)
+    result[rows] = largest_correlation(windows.grey[rows], area)
     return result
 
 
-def _shift(landmarks: MergedLandmarks, rows: Ints, there: _View, motion: Floats) -> Floats:
+def _shift(xyz: Floats, sigma: Floats, there: _View, motion: Floats) -> Floats:
     """(n,) pixels by which a landmark moves in the other image if its depth is wrong."""
-    camera = there.camera
-    depth = np.minimum(2.0 * landmarks.sigma[rows], 0.9)
-    ends = []
-    for factor in (1.0 + depth, 1.0 - depth):
-        moved = (landmarks.xyz[rows] * factor[:, None]) @ motion[:3, :3].T + motion[:3, 3]
-        z = np.maximum(moved[:, 2], 1e-9)
-        ends.append(np.stack([camera.fx * moved[:, 0] / z, camera.fy * moved[:, 1] / z], axis=1))
+    factor = 1.0 + np.array([[1.0], [-1.0]]) * np.minimum(2.0 * sigma, 0.9)
+    moved = (factor[..., None] * xyz) @ motion[:3, :3].T + motion[:3, 3]
+    focal = there.camera.fx, there.camera.fy
+    ends = moved[..., :2] * focal / np.maximum(moved[..., 2:], 1e-9)
     return np.asarray(0.5 * np.linalg.norm((ends[0] - ends[1]) * there.scale, axis=1))

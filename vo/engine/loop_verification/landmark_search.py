@@ -111,7 +111,7 @@ class LandmarkSearch:
     def by_relation(self, pair: KeyframePair, earlier_from_later: Floats) -> FoundLandmarks:
         """Earlier landmarks found in the later image near where a relation predicts them."""
         earlier, later = pair.earlier, pair.later
-        view = in_view(sim3.inverse(earlier_from_later), earlier, *pair.cameras)
+        view = in_view(sim3.inverse(earlier_from_later), earlier.xyz, *pair.cameras)
         query = FeatureSet(
             view.xy,
             predicted_octave(earlier.octave[view.rows], view.size, self._scale_factor),

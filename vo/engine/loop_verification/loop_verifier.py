@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.geometry.quantiles import median
 from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
 from vo.engine.loop_verification.image_comparison import compare_images
@@ -208,7 +209,7 @@ def _check_relation(
     apart = _distance_apart(relation.earlier_from_later, inliers.pairs)
     if apart > _MAX_APART:
         return Rejection(RejectionReason.FAR_APART, apart, _MAX_APART)
-    distance = float(np.median(np.linalg.norm(inliers.pairs.later, axis=1)))
+    distance = median(np.linalg.norm(inliers.pairs.later, axis=1))
     covariance = _covariance(pair, relation)
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1])) / distance
     if not sigma < _MAX_UNCERTAINTY:
@@ -239,8 +240,8 @@ def _check_images(
 def _seen_ratio(pair: KeyframePair, relation: Floats, inliers: FoundLandmarks) -> float:
     """Inliers relative to the landmarks that both keyframes should see, the mean of both."""
     own = pair.earlier.own
-    expected = in_view(sim3.inverse(relation), pair.earlier, *pair.cameras).rows < own
-    back = in_view(relation, pair.later, *pair.cameras[::-1])
+    expected = in_view(sim3.inverse(relation), pair.earlier.xyz, *pair.cameras).rows < own
+    back = in_view(relation, pair.later.xyz, *pair.cameras[::-1])
     first = int((inliers.earlier < own).sum()) / max(int(expected.sum()), 1)
     second = len(inliers.later) / max(len(back.rows), 1)
     return 0.5 * (first + second)
@@ -258,15 +259,15 @@ def _distance_apart(relation: Floats, pairs: LandmarkPairs) -> float:
 
     The smaller of that from both keyframes: down a street, much is also seen from far away.
     """
-    from_earlier = float(np.median(np.linalg.norm(pairs.earlier, axis=1)))
-    from_later = float(np.median(np.linalg.norm(pairs.later, axis=1)))
+    from_earlier = median(np.linalg.norm(pairs.earlier, axis=1))
+    from_later = median(np.linalg.norm(pairs.later, axis=1))
     nearer = min(from_earlier, from_later * float(sim3.scale_of(relation)))
     return float(np.linalg.norm(relation[:3, 3])) / nearer
 
 
 def _systematic(pairs: LandmarkPairs) -> Floats:
     """(7, 7) covariance of errors that landmarks have in common."""
-    distance = float(np.median(np.linalg.norm(pairs.later, axis=1)))
+    distance = median(np.linalg.norm(pairs.later, axis=1))
     return np.diag(_SYSTEMATIC * np.r_[np.ones(3), np.full(3, distance), 0.0]) ** 2
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,30 +44,30 @@ def merge_landmarks(places: Sequence[Place]) -> MergedLandmarks:
 
     Only those in front of the first keyframe, whose depths are landmarks.
     """
-    first = places[0]
-    xyz, parts = [], []
-    taken = np.empty(0, dtype=np.int64)
-    counts = []
-    for place in places:
-        landmarks = place.landmarks
-        points = landmarks.xyz.astype(np.float64)
-        if place is not first:
-            points = transform_points(inverse(first.odom_from_cam) @ place.odom_from_cam, points)
-        good = (points[:, 2] > 0) & (landmarks.sigma < _MAX_SIGMA)
-        rows = np.flatnonzero(good & ~np.isin(landmarks.id, taken))
-        taken = np.concatenate([taken, landmarks.id[rows]])
-        counts.append(len(rows))
-        xyz.append(points[rows])
-        parts.append((landmarks, rows))
+    first_from_odom, parts = inverse(places[0].odom_from_cam), [p.landmarks for p in places]
+    points = [parts[0].xyz.astype(np.float64)]
+    for place in places[1:]:
+        moved = first_from_odom @ place.odom_from_cam
+        points.append(transform_points(moved, place.landmarks.xyz.astype(np.float64)))
+    xyz, sigma = np.concatenate(points), np.concatenate([p.sigma for p in parts])
+    rows = np.flatnonzero((xyz[:, 2] > 0) & (sigma < _MAX_SIGMA))
+    own = int(np.searchsorted(rows, len(points[0])))
+    if len(places) > 1:
+        ids = np.concatenate([p.id for p in parts])[rows]
+        rows = rows[np.sort(np.unique(ids, return_index=True)[1])]
+
+    def merged(name: str) -> Any:
+        return np.concatenate([getattr(p, name) for p in parts]).take(rows, axis=0)
+
     return MergedLandmarks(
-        counts[0],
-        np.concatenate(xyz),
-        np.concatenate([p.xy[r].astype(np.float64) for p, r in parts]),
-        np.concatenate([p.sigma[r].astype(np.float64) for p, r in parts]),
-        np.concatenate([p.descriptor[r] for p, r in parts]),
-        np.concatenate([p.octave[r] for p, r in parts]).astype(np.int32),
-        np.concatenate([p.angle[r] for p, r in parts]),
-        np.concatenate([p.patch[r] for p, r in parts]),
+        own,
+        xyz.take(rows, axis=0),
+        merged("xy").astype(np.float64),
+        sigma.take(rows).astype(np.float64),
+        merged("descriptor"),
+        merged("octave").astype(np.int32),
+        merged("angle"),
+        merged("patch"),
     )
 
 
@@ -79,25 +79,21 @@ class LandmarksInView(NamedTuple):
     size: Floats
 
 
-def in_view(
-    there_from_here: Floats, landmarks: MergedLandmarks, here: Camera, there: Camera
-) -> LandmarksInView:
-    """Landmarks that the camera `there` should see; there_from_here is a similarity."""
-    moved = landmarks.xyz @ there_from_here[:3, :3].T + there_from_here[:3, 3]
-    unit = float(sim3.scale_of(there_from_here))
+def in_view(there_from_here: Floats, xyz: Floats, here: Camera, there: Camera) -> LandmarksInView:
+    """Landmarks (N, 3) that the camera `there` should see; there_from_here is a similarity."""
+    moved = xyz @ there_from_here[:3, :3].T + there_from_here[:3, 3]
     depth = np.maximum(moved[:, 2], 1e-9)
     u = there.fx * moved[:, 0] / depth + there.cx
     v = there.fy * moved[:, 1] / depth + there.cy
-    size = (
-        unit
-        * np.linalg.norm(landmarks.xyz, axis=1)
-        / np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
-    )
-    size *= there.fx / here.fx
     inside = (u >= 0) & (u < there.width) & (v >= 0) & (v < there.height) & (moved[:, 2] > 1e-6)
-    inside &= (size < _MAX_SIZE_RATIO) & (size > 1.0 / _MAX_SIZE_RATIO)
     rows = np.flatnonzero(inside)
-    return LandmarksInView(rows, np.stack([u[rows], v[rows]], axis=1), size[rows])
+    distance = np.maximum(np.linalg.norm(moved.take(rows, axis=0), axis=1), 1e-9)
+    size = np.linalg.norm(xyz.take(rows, axis=0), axis=1)
+    size = float(sim3.scale_of(there_from_here)) * size / distance
+    size *= there.fx / here.fx
+    alike = (size < _MAX_SIZE_RATIO) & (size > 1.0 / _MAX_SIZE_RATIO)
+    rows = rows[alike]
+    return LandmarksInView(rows, np.stack([u[rows], v[rows]], axis=1), size[alike])
 
 
 def observed_xy(landmarks: MergedLandmarks, rows: Ints, camera: Camera) -> Floats:

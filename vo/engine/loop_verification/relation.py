@@ -8,6 +8,7 @@ import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
 from vo.base.geometry.projection import MIN_DEPTH, Intrinsics, project, to_camera
+from vo.base.geometry.quantiles import median
 from vo.base.types import Bools, Floats
 from vo.engine.geometry import sim3
 
@@ -40,6 +41,10 @@ class LandmarkPairs(NamedTuple):
     def select(self, chosen: Bools) -> LandmarkPairs:
         """Some of the pairs."""
         return LandmarkPairs(*(field[chosen] for field in self))
+
+    def contiguous(self) -> LandmarkPairs:
+        """The same as the kernels take them."""
+        return LandmarkPairs(*(np.ascontiguousarray(field, np.float64) for field in self))
 
 
 class Relation(NamedTuple):
@@ -74,13 +79,9 @@ def sample_relation(
     if len(relations) == 0:
         return np.eye(4), np.zeros(count, dtype=bool)
     back = sim3.inverse(relations)
-    earlier, later = np.ascontiguousarray(pairs.earlier), np.ascontiguousarray(pairs.later)
-    seen = np.ascontiguousarray(pairs.earlier_xy), np.ascontiguousarray(pairs.later_xy)
-    first, second = cameras
-    best = _best_of(relations, back, earlier, later, seen[0], seen[1], first, second, threshold_px)
-    return relations[best], _close_to(
-        relations[best], back[best], earlier, later, seen[0], seen[1], first, second, threshold_px
-    )
+    given = *pairs.contiguous()[:4], *cameras, threshold_px
+    best = _best_of(relations, back, *given)
+    return relations[best], _close_to(relations[best], back[best], *given)
 
 
 @compiled
@@ -177,10 +178,13 @@ def refine_relation(
     whose scale diverges has no information.
     """
     relation, size = start.copy(), 7 if with_scale else 6
+    pairs = pairs.contiguous()
+    distance = np.linalg.norm(pairs.earlier, axis=1)
     for _ in range(_ITERATIONS):
         normal, right, _ = _normal_equations(relation, pairs, cameras, np.inf)
         normal[6, 6] += 1.0 / _DEPTH_SIGMA**2
-        right[6] -= _depth_ratio(relation, pairs) / _DEPTH_SIGMA**2
+        moved = pairs.later @ relation[:3, :3].T + relation[:3, 3]
+        right[6] -= np.log(median(np.linalg.norm(moved, axis=1) / distance)) / _DEPTH_SIGMA**2
         step = np.zeros(7)
         damped = normal[:size, :size] + 1e-9 * np.diag(np.diag(normal)[:size] + 1e-9)
         step[:size] = np.linalg.solve(damped, right[:size])
@@ -195,18 +199,11 @@ def refine_relation(
     return Relation(relation, normal)
 
 
-def _depth_ratio(relation: Floats, pairs: LandmarkPairs) -> float:
-    """Logarithm of the ratio of distances from the earlier camera, the median of all pairs."""
-    moved = pairs.later @ relation[:3, :3].T + relation[:3, 3]
-    ratio = np.linalg.norm(moved, axis=1) / np.linalg.norm(pairs.earlier, axis=1)
-    return float(np.log(np.median(ratio)))
-
-
 def pair_errors(
     relation: Floats, pairs: LandmarkPairs, cameras: tuple[Intrinsics, Intrinsics]
 ) -> Floats:
     """(N,) squared errors of the pairs in standard deviations, the larger of both images."""
-    return _normal_equations(relation, pairs, cameras, np.inf)[2]
+    return _normal_equations(relation, pairs.contiguous(), cameras, -np.inf)[2]
 
 
 def _normal_equations(
@@ -220,9 +217,8 @@ def _normal_equations(
     Errors of `limit` or more, squared, have no weight.
     """
     normal, right, squared = np.zeros((7, 7)), np.zeros(7), np.empty(len(pairs.earlier))
-    given = LandmarkPairs(*(np.ascontiguousarray(field, np.float64) for field in pairs))
     motions = relation, sim3.inverse(relation), _OPPOSITE
-    _add_pairs(motions, given, cameras, limit, normal, right, squared)
+    _add_pairs(motions, pairs, cameras, limit, normal, right, squared)
     return normal, right, squared
 
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
-from vo.engine.loop_verification.image_comparison import compare_images
+from vo.engine.loop_verification.image_comparison import ComparedWindows, compare_images
 from vo.engine.loop_verification.landmark_search import keyframe_pair
 from vo.engine.places.database import KeyframeDatabase
 from vo.engine.places.records import Place, PlaceKey, RegisteredKeyframes
@@ -70,11 +69,8 @@ def _stored(database: KeyframeDatabase, keys: Sequence[PlaceKey]) -> list[Place]
     return [p for p in places if p.frame.segment == places[0].frame.segment]
 
 
-class _Windows(NamedTuple):
-    """Windows around landmarks that were compared, and those of them that look different."""
-
-    compared: int
-    different: int
+class _Windows(ComparedWindows):
+    """Those of several pairs of keyframes."""
 
     @property
     def ratio(self) -> float:
