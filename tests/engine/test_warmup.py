@@ -74,7 +74,7 @@ def outdated(first_warmup: tuple[Path, str, str], tmp_path: Path) -> tuple[Path,
     shutil.copytree(first_warmup[0], cache)
     for stamp in (cache / "vo").glob("warm-*"):
         stamp.unlink()
-    (missing,) = (cache / "vo").glob("vo.engine.frontend.fast._contrasts-*")
+    (missing,) = (cache / "vo").glob("vo.engine.frontend.fast._corners-*")
     missing.unlink()
     return cache, missing
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import cv2
+from math import sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +13,7 @@ from vo.base.types import Bytes, Floats32
 _RING = 3  # radius of the ring of pixels that a corner is compared with
 _ON_RING = 16  # pixels on it
 _PER_CELL = 3.0  # average number of corners per cell
+_NO_MASK = np.empty((0, 0), np.uint8)
 
 
 class FastGrid:
@@ -45,28 +47,37 @@ class FastGrid:
         if count == 0 or min(height, width) <= 2 * b:
             return np.empty((0, 2), np.int32), np.empty(0, np.float32)
         area = width * height if mask is None else int(np.count_nonzero(mask))
-        size = int(max(np.sqrt(area * _PER_CELL / count), 12.0))
-        edge = b - _RING
-        inner = np.ascontiguousarray(image[edge : height - edge, edge : width - edge])
-        contrasts = _contrasts(inner)
-        if mask is not None:
-            contrasts = np.asarray(cv2.copyTo(contrasts, mask[b : height - b, b : width - b]))
-        xy, scores = _best_corners(contrasts, *self._thresholds, size, count)
-        return xy + np.int32(b), scores
+        size = int(max(sqrt(area * _PER_CELL / count), 12.0))
+        hidden = _NO_MASK if mask is None else mask
+        xy, scores = _corners(image, hidden, b, *self._thresholds, size, count)
+        return xy, scores
 
 
 @compiled
-def _contrasts(image):  # type: ignore[no-untyped-def]
-    """Contrast (H - 6, W - 6) of the pixels with a complete ring; a corner's score is one less.
+def _corners(image, mask, border, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
+    """Pixels and scores of at most `count` corners, where the mask, unless empty, is not 0."""
+    contrast = _contrasts(image, border - _RING)
+    if mask.size > 0:
+        for y in range(contrast.shape[0]):
+            for x in range(contrast.shape[1]):
+                if mask[y + border, x + border] == 0:
+                    contrast[y, x] = 0
+    return _best_corners(contrast, border, threshold, low_threshold, size, count)
+
+
+@compiled
+def _contrasts(image, edge):  # type: ignore[no-untyped-def]
+    """Contrast of the pixels whose ring lies inside of an edge; a corner's score is one less.
 
     The seven rows that a ring spans are separate arrays, so that the loop over x has contiguous
     loads only and becomes vector instructions.
     """
-    height, width = image.shape[0] - 2 * _RING, image.shape[1] - 2 * _RING
+    rows = image[edge : image.shape[0] - edge, edge : image.shape[1] - edge]
+    height, width = rows.shape[0] - 2 * _RING, rows.shape[1] - 2 * _RING
     contrast = np.empty((height, width), dtype=np.uint8)
     for y in range(height):
-        r0, r1, r2, r3 = image[y], image[y + 1], image[y + 2], image[y + 3]
-        r4, r5, r6 = image[y + 4], image[y + 5], image[y + 6]
+        r0, r1, r2, r3 = rows[y], rows[y + 1], rows[y + 2], rows[y + 3]
+        r4, r5, r6 = rows[y + 4], rows[y + 5], rows[y + 6]
         for x in range(width):
             top = r0[x + 2], r0[x + 3], r0[x + 4], r1[x + 5]
             right = r2[x + 6], r3[x + 6], r4[x + 6], r5[x + 5]
@@ -124,17 +135,17 @@ def _higher(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
-    """Pixels and scores of at most `count` corners."""
+def _best_corners(contrast, border, threshold, low_threshold, size, count):  # type: ignore[no-untyped-def]
+    """Pixels and scores of at most `count` corners; `border` is added to their places."""
     height, width = contrast.shape
     columns = (width - 1) // size + 1
     cells = (height - 1) // size * columns + columns
-    found = np.empty(height * width, dtype=np.int64)  # y * width + x; there cannot be more
+    found = np.empty((height * width, 2), dtype=np.int32)  # x, y; there cannot be more
     none = np.int64(0)
     n = _add_corners(contrast, (none, none, height, width), threshold, found, none)
     is_empty = np.ones(cells, dtype=np.bool_)
     for i in range(n):
-        is_empty[found[i] // width // size * columns + found[i] % width // size] = False
+        is_empty[found[i, 1] // size * columns + found[i, 0] // size] = False
     for cell in range(cells):
         if is_empty[cell]:
             top, left = cell // columns * size, cell % columns * size
@@ -142,7 +153,7 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
             n = _add_corners(contrast, part, low_threshold, found, n)
     scores, cell_of = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
-        y, x = found[i] // width, found[i] % width
+        x, y = found[i]
         scores[i] = contrast[y, x] - 1
         cell_of[i] = y // size * columns + x // size
     is_kept = _best_of_cells(scores, cell_of, cells, count)
@@ -151,37 +162,47 @@ def _best_corners(contrast, threshold, low_threshold, size, count):  # type: ign
     k = 0
     for i in range(n):
         if is_kept[i]:
-            xy[k, 0], xy[k, 1], kept_scores[k] = found[i] % width, found[i] // width, scores[i]
+            xy[k, 0], xy[k, 1] = found[i, 0] + border, found[i, 1] + border
+            kept_scores[k] = scores[i]
             k += 1
     return xy, kept_scores
 
 
 @compiled
 def _add_corners(contrast, part, threshold, found, n):  # type: ignore[no-untyped-def]
-    """Append y * width + x of the corners in a part of the image; gives their new number."""
+    """Append x and y of the corners in a part of the image; gives their new number."""
     top, left, bottom, right = part
-    height, width = bottom - top, right - left
-    framed = np.zeros((height + 2, width + 2), dtype=np.uint8)  # pixels beyond the part are ignored
-    for y in range(height):
-        for x in range(width):
-            framed[y + 1, x + 1] = contrast[top + y, left + x]
-    is_corner = np.zeros((width + 7) // 8 * 8, dtype=np.uint8)
+    beyond = np.zeros(right - left, dtype=np.uint8)  # pixels outside of the part are ignored
+    is_corner = np.zeros((right - left + 7) // 8 * 8, dtype=np.uint8)
     eights = is_corner.view(np.uint64)
-    minimum, one, none = np.uint8(threshold), np.uint8(1), np.uint8(0)
-    for y in range(height):
-        above, row, below = framed[y], framed[y + 1], framed[y + 2]
-        for x in range(width):
-            around = max(max(above[x], above[x + 1]), max(above[x + 2], row[x]))
-            around = max(around, max(row[x + 2], max(below[x], max(below[x + 1], below[x + 2]))))
-            is_corner[x] = one if row[x + 1] > max(around, minimum) else none
+    for y in range(top, bottom):
+        above = contrast[y - 1, left:right] if y > top else beyond
+        below = contrast[y + 1, left:right] if y + 1 < bottom else beyond
+        _mark_corners(above, contrast[y, left:right], below, np.uint8(threshold), is_corner)
         for eight in range(len(eights)):
             if eights[eight] == 0:  # eight pixels at once; almost always
                 continue
             for x in range(8 * eight, 8 * eight + 8):
                 if is_corner[x]:
-                    found[n] = (top + y) * contrast.shape[1] + left + x
+                    found[n, 0], found[n, 1] = left + x, y
                     n += 1
     return n
+
+
+@compiled(forceinline=True, **NO_REFCOUNT)
+def _mark_corners(above, row, below, minimum, is_corner):  # type: ignore[no-untyped-def]
+    """Set where pixels of a row exceed the minimum and their neighbours in three rows."""
+    last, one, none = len(row) - 1, np.uint8(1), np.uint8(0)
+    for x in range(1, last):
+        around = max(max(above[x - 1], above[x]), max(above[x + 1], row[x - 1]))
+        around = max(around, max(row[x + 1], max(below[x - 1], max(below[x], below[x + 1]))))
+        is_corner[x] = one if row[x] > max(around, minimum) else none
+    for x in (0, last):
+        around = max(above[x], below[x])
+        for u in (x - 1, x + 1):
+            if 0 <= u <= last:
+                around = max(around, max(row[u], max(above[u], below[u])))
+        is_corner[x] = one if row[x] > max(around, minimum) else none
 
 
 @compiled

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.base.compiling.function import compiled
+from vo.base.compiling.function import NO_REFCOUNT, compiled
+from vo.base.compiling.signatures import usual_array
 from vo.base.config import FeaturesConfig
 from vo.base.types import Bytes, Floats, Floats32, Keypoints
 from vo.engine.frontend.contracts import DescriptorFormat
@@ -25,6 +26,10 @@ _BLUR_SIGMA_PX = 2.0
 # x, y of the two pixels that each of the 256 bits compares, learned by the authors of ORB (sec.
 # 4.3), in the order of OpenCV: descriptors are the same there.
 _PAIRS = (Path(__file__).parent / "orb_pattern.txt").read_text("ascii").split()
+_GATHER_BITS = np.uint64(0x0102040810204080)
+
+Weights = NDArray[np.int16]
+_Level = tuple[NDArray[np.int32], Floats32, Floats32, Bytes]  # pixels of the level, scores, …
 
 
 class OrbExtractor:
@@ -38,6 +43,8 @@ class OrbExtractor:
     def __init__(self, config: FeaturesConfig) -> None:
         self._config = config
         self._fast = FastGrid(config.threshold, config.low_threshold, BORDER_PX)
+        shares = config.scale_factor ** (-2.0 * np.arange(config.levels))
+        self._quotas = np.round(config.count * shares / shares.sum()).astype(int).tolist()
 
     @property
     def scale_factor(self) -> float:
@@ -55,20 +62,22 @@ class OrbExtractor:
             helper: extracts from the smaller levels, half of the work, at the same time.
         """
         full, *smaller = self._pyramid(image)
+        mask = None if mask is None else usual_array(mask)
 
-        def detect_smaller() -> list[Keypoints]:
-            return [self._detect_level(*s, o, image.shape, mask) for o, s in enumerate(smaller, 1)]
+        def detect_smaller() -> list[_Level]:
+            return [self._detect_level(*level, mask) for level in smaller]
 
         others = None if helper is None else helper.submit(detect_smaller)
-        largest = self._detect_level(*full, 0, image.shape, mask)
+        largest = self._detect_level(*full, mask)
         levels = [largest, *(detect_smaller() if others is None else others.result())]
-        keypoints = Keypoints(
-            xy=np.concatenate([k.xy for k in levels]),
-            octave=np.concatenate([k.octave for k in levels]),
-            angle=np.concatenate([k.angle for k in levels]),
-            response=np.concatenate([k.response for k in levels]),
-            descriptor=np.concatenate([k.descriptor for k in levels]),
-        )
+        xy, response, angle, descriptor = map(np.concatenate, zip(*levels, strict=True))
+        octave = np.arange(len(levels), dtype=np.int32).repeat([len(level[0]) for level in levels])
+        # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
+        # are whole, so s differs a little from a power of the factor, and between u and v.
+        sizes = np.array([image.shape[::-1] for image, _ in (full, *smaller)])
+        scale = (sizes[0] / sizes)[octave]
+        full_xy = ((xy + 0.5) * scale - 0.5).astype(np.float32)
+        keypoints = Keypoints(full_xy, octave, angle, response, descriptor)
         return keypoints if mask is None else _outside_mask(keypoints, mask)
 
     def extract_and_describe(
@@ -90,53 +99,39 @@ class OrbExtractor:
         return self.extract(image, mask), given
 
     def _pyramid(self, image: Bytes) -> list[tuple[Bytes, int]]:
-        factor = self._config.scale_factor
-        shares = factor ** (-2.0 * np.arange(self._config.levels))
-        quotas = np.round(self._config.count * shares / shares.sum()).astype(int)
-        levels = [(np.ascontiguousarray(image), int(quotas[0]))]
+        factor, quotas = self._config.scale_factor, self._quotas
+        levels = [(np.ascontiguousarray(image), quotas[0])]
         height, width = image.shape
         for octave in range(1, self._config.levels):
             size = (round(width / factor**octave), round(height / factor**octave))
             if min(size) <= 2 * BORDER_PX + 1:
                 break
             smaller = cv2.resize(levels[-1][0], size, interpolation=cv2.INTER_LINEAR)
-            levels.append((smaller, int(quotas[octave])))
+            levels.append((smaller, quotas[octave]))
         return levels
 
-    def _detect_level(
-        self,
-        image: Bytes,
-        quota: int,
-        octave: int,
-        full_shape: tuple[int, ...],
-        mask: Bytes | None,
-    ) -> Keypoints:
-        if mask is not None and octave:
+    def _detect_level(self, image: Bytes, quota: int, mask: Bytes | None) -> _Level:
+        if mask is not None and mask.shape != image.shape:
             size = image.shape[::-1]
             mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         xy, scores = self._fast.detect(image, quota, mask)
-        angle, descriptor = describe_corners(image, xy)
-        # Pixel centres lie at whole numbers: level pixel p covers full-resolution (p+½)s-½. Sizes
-        # are whole, so s differs a little from a power of the factor, and between u and v.
-        scale = np.array(full_shape[::-1]) / image.shape[::-1]
-        full = ((xy + 0.5) * scale - 0.5).astype(np.float32)
-        octaves = np.full(len(xy), octave, dtype=np.int32)
-        return Keypoints(full, octaves, angle, scores, descriptor)
+        return xy, scores, *describe_corners(image, xy)
 
 
 def describe_corners(image: Bytes, xy: NDArray[np.int32]) -> tuple[Floats32, Bytes]:
     """Orientations (N,) and rotated BRIEF (N, 32) of pixels at least `BORDER_PX` from the edges."""
-    blur, moments, pattern = _tables()
-    angle = _orientation(image, xy, *moments)
+    blur, *tables = _tables()
     blurred = cv2.sepFilter2D(image, -1, blur, blur)
-    return angle, _describe(blurred, xy, angle, pattern)
+    angle, descriptor = _described(image, blurred, xy, *tables)
+    return angle, descriptor
 
 
 @lru_cache(maxsize=1)
-def _tables() -> tuple[Floats, tuple[Floats32, Floats32], Floats32]:
+def _tables() -> tuple[Floats, Weights, Weights, Floats32]:
     """Weights of the blur and of the moments, and the pattern of compared pixels."""
-    pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2).T.copy()
-    return cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX), _moment_weights(), pattern
+    pattern = np.array(_PAIRS, dtype=np.float32).reshape(-1, 2, 2).transpose(2, 1, 0)
+    compared = np.ascontiguousarray(pattern.reshape(2, -1))
+    return cv2.getGaussianKernel(_BLUR_PX, _BLUR_SIGMA_PX), *_moment_weights(), compared
 
 
 def _outside_mask(keypoints: Keypoints, mask: Bytes) -> Keypoints:
@@ -144,40 +139,52 @@ def _outside_mask(keypoints: Keypoints, mask: Bytes) -> Keypoints:
     return keypoints.select(used_at(mask, keypoints.xy))
 
 
-def _moment_weights() -> tuple[Floats32, Floats32]:
-    """Weights of the intensity-centroid moments: pixels of a square, 0 outside of its disc."""
-    y, x = np.mgrid[-_RADIUS : _RADIUS + 1, -_RADIUS : _SIDE - _RADIUS].astype(np.float32)
-    half_width = np.floor(np.sqrt(_RADIUS**2 - y**2) + 0.5)
-    inside = np.abs(x) <= half_width
-    return x * inside, y * inside
+def _moment_weights() -> tuple[Weights, Weights]:
+    """Weights of the intensity-centroid moments: x and y in the lower half of a disc, 0 beside it.
+
+    By rows, from the middle one on.
+    """
+    y, x = np.mgrid[: _RADIUS + 1, -_RADIUS : _SIDE - _RADIUS]
+    inside = np.abs(x) <= np.floor(np.sqrt(_RADIUS**2 - y**2) + 0.5)
+    return (x * inside).astype(np.int16), (y * inside).astype(np.int16)
 
 
 @compiled
-def _orientation(image, xy, x_weights, y_weights):  # type: ignore[no-untyped-def]
-    """Angle from a corner to the centroid of grey in a disc around it (Rublee 2011, sec. 3.2)."""
+def _described(image, blurred, xy, x_weights, y_weights, pattern):  # type: ignore[no-untyped-def]
+    """Orientations and descriptors."""
     angle = np.empty(len(xy), dtype=np.float32)
-    # By column; of whole numbers below 2^24, so exact.
-    x_moments, y_moments = np.empty((2, _SIDE), dtype=np.float32)
     for i in range(len(xy)):
-        left, top = xy[i, 0] - _RADIUS, xy[i, 1] - _RADIUS
-        x_moments[:] = 0.0
-        y_moments[:] = 0.0
-        for dy in range(len(x_weights)):
-            row = image[top + dy, left : left + _SIDE]
-            for dx in range(_SIDE):
-                grey = np.float32(row[dx])
-                x_moments[dx] += grey * x_weights[dy, dx]
-                y_moments[dx] += grey * y_weights[dy, dx]
-        angle[i] = np.arctan2(np.float64(y_moments.sum()), np.float64(x_moments.sum()))
-    return angle
+        angle[i] = _orientation(image, xy[i, 0], xy[i, 1], x_weights, y_weights)
+    return angle, _describe(blurred, xy, angle, pattern)
+
+
+@compiled(**NO_REFCOUNT)
+def _orientation(image, x, y, x_weights, y_weights):  # type: ignore[no-untyped-def]
+    """Angle from a corner to the centroid of grey in a disc around it (Rublee 2011, sec. 3.2).
+
+    Rows at the same distance above and below have the same weights of x and opposite ones of y.
+    """
+    left, x_moment, y_moment = x - _RADIUS, np.int32(0), np.int32(0)
+    for dx in range(_SIDE):
+        x_moment = np.int32(x_moment + np.int32(image[y, left + dx]) * np.int32(x_weights[0, dx]))
+    for dy in range(1, len(x_weights)):
+        above, below = image[y - dy, left : left + _SIDE], image[y + dy, left : left + _SIDE]
+        for dx in range(_SIDE):
+            a, b = np.int32(above[dx]), np.int32(below[dx])
+            x_moment = np.int32(x_moment + np.int32(b + a) * np.int32(x_weights[dy, dx]))
+            y_moment = np.int32(y_moment + np.int32(b - a) * np.int32(y_weights[dy, dx]))
+    return np.arctan2(np.float64(y_moment), np.float64(x_moment))
 
 
 @compiled
 def _describe(blurred, xy, angle, pattern):  # type: ignore[no-untyped-def]
     """Rotated BRIEF (Rublee 2011, sec. 4): (N, 32) bytes of bits, each a pixel below another."""
-    pixels, stride = blurred.ravel(), blurred.shape[1]
-    descriptor = np.empty((len(xy), 32), dtype=np.uint8)
-    place = np.empty(pattern.shape[1], dtype=np.int32)
+    pixels, stride, bits = blurred.ravel(), blurred.shape[1], pattern.shape[1] // 2
+    descriptor = np.empty((len(xy), bits // 8), dtype=np.uint8)
+    place = np.empty(2 * bits, dtype=np.int32)
+    first, second = np.empty((2, bits), dtype=np.uint8)
+    is_below = np.empty(bits, dtype=np.uint8)
+    eights = is_below.view(np.uint64)
     for i in range(len(xy)):
         c, s = np.cos(angle[i]), np.sin(angle[i])
         start = xy[i, 1] * stride + xy[i, 0]
@@ -185,10 +192,11 @@ def _describe(blurred, xy, angle, pattern):  # type: ignore[no-untyped-def]
             x, y = pattern[0, k], pattern[1, k]
             column, row = np.int32(np.rint(x * c - y * s)), np.int32(np.rint(x * s + y * c))
             place[k] = start + row * stride + column
-        for byte in range(32):
-            bits = 0
-            for bit in range(8):
-                pair = 16 * byte + 2 * bit
-                bits |= (pixels[place[pair]] < pixels[place[pair + 1]]) << bit
-            descriptor[i, byte] = bits
+        for k in range(bits):
+            first[k] = pixels[np.uint32(place[k])]
+            second[k] = pixels[np.uint32(place[bits + k])]
+        for k in range(bits):
+            is_below[k] = first[k] < second[k]
+        for byte in range(len(eights)):  # the product has the lowest bits of eight bytes in its top
+            descriptor[i, byte] = (eights[byte] * _GATHER_BITS) >> np.uint64(56)
     return descriptor
