@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import NamedTuple
+
+from vo.base.named_tuple import NamedTuple
 
 _CAMERAS = {"left": (0,), "right": (1,), "both": (0, 1)}
 _MAX_COORDINATE = 1e5

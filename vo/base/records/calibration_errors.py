@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
+from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
@@ -16,6 +14,7 @@ from vo.base.geometry.projection import (
     point_derivatives,
     to_camera,
 )
+from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 
 # A (3, 3) normal matrix is singular if its determinant is at most this times its cubed trace.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal
+
+from vo.base.named_tuple import NamedTuple
 
 Grade = Literal["good", "caution", "bad"]
 

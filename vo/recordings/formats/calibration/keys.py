@@ -6,11 +6,12 @@ Names are compared in lower case, without underscores and other punctuation.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
+from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.calibration.document import ImageSize
 from vo.recordings.formats.calibration.numbers import is_list, make_list, make_matrix, make_number
 
