@@ -201,14 +201,15 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
         x0, y0 = min(np.int32(px), right), min(np.int32(py), bottom)
         part_x[k], part_y[k] = px - np.float32(x0), py - np.float32(y0)
         place[k] = y0 * row + x0
+    byte, low_byte = np.int32(8), np.int32(255)
     for k in range(count):
         at = np.uintp(place[k])
-        above[k] = np.int32(flat[at]) | np.int32(np.int32(flat[at + one]) << np.int32(8))
+        above[k] = np.int32(flat[at]) | np.int32(np.int32(flat[at + one]) << byte)
         at += np.uintp(width)
-        below[k] = np.int32(flat[at]) | np.int32(np.int32(flat[at + one]) << np.int32(8))
+        below[k] = np.int32(flat[at]) | np.int32(np.int32(flat[at + one]) << byte)
     for k in range(count):
-        a, b = np.float32(above[k] & 255), np.float32(above[k] >> 8)
-        c, d = np.float32(below[k] & 255), np.float32(below[k] >> 8)
+        a, b = np.float32(np.int32(above[k] & low_byte)), np.float32(np.int32(above[k] >> byte))
+        c, d = np.float32(np.int32(below[k] & low_byte)), np.float32(np.int32(below[k] >> byte))
         top, low = a + part_x[k] * (b - a), c + part_x[k] * (d - c)
         wide[k] = top + part_y[k] * (low - top)
 
