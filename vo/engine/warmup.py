@@ -197,14 +197,13 @@ def _use_screening() -> None:
 def _use_poses() -> None:
     """Call what the pose of each frame needs, for a camera that stands still."""
     from vo.engine.geometry.patch_prediction import predict_patches
-    from vo.engine.geometry.pnp import refine_pose, take_step
+    from vo.engine.geometry.pnp import refine_pose
     from vo.engine.geometry.surfaces import inverse_depth_slopes
 
     rows, ones = np.arange(20), np.ones(20)
     xyz, first = np.ones((20, 3)), np.zeros(20, np.int64)
     intrinsics = Intrinsics(_FOCAL_PX, _FOCAL_PX, 0.0, 0.0)
     seen = PixelObservations(xyz[:, :2] * _FOCAL_PX, ones, ones, 1.0)
-    take_step(np.eye(6), np.zeros(6), np.eye(4))
     refine_pose(np.eye(4), xyz, seen, intrinsics, _FOCAL_PX)
     inverse_depth_slopes(xyz[:, :2], ones, rows)
     predict_patches(xyz, xyz, first, rows, first, np.eye(4)[None], intrinsics)

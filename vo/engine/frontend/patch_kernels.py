@@ -18,9 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
-from vo.base.geometry.projection import MIN_DEPTH, by_cam_from_world, pixel, to_camera
 
-_LANES = 16
+LANES = 16  # numbers of a row of a patch, or half of them
 # A patch with a lower correlation after this many steps is rejected, which saves a sixth of all
 # steps; of 27,000 patches in a street and a hall, 15 would have converged later.
 _REJECT_AFTER, _REJECT_SCORE = 3, 0.5
@@ -40,8 +39,8 @@ def align(  # type: ignore[no-untyped-def]
     Those of 3 rows are homographies: their offsets are divided by 1 + the third row times them.
     """
     count, side = len(reference_xy), 2 * half + 1
-    stride = _LANES if side + 2 <= _LANES else 2 * _LANES
-    work = _workspace(half, stride)
+    stride = LANES if side + 2 <= LANES else 2 * LANES
+    work = workspace(half, stride)
     pixels = np.empty((3, (2 * half + 3) * stride), dtype=np.int32)
     xy = start_xy.copy()
     score = np.full(count, -1.0)
@@ -65,12 +64,12 @@ def _align_each(patches, search, half, iterations, stride, work, pixels, found):
         image = references[reference[n]]
         x, y = reference_xy[n, 0], reference_xy[n, 1]
         if len(inverses) == 0:
-            inside = _cut(image, x, y, half, stride, work)
+            inside = cut(image, x, y, half, stride, work)
         else:
             inside = _cut_stretched(image, x, y, inverses[n], half, stride, work, pixels)
         if not inside:
             continue
-        sums = _template(side, stride, work)
+        sums = make_template(side, stride, work)
         hxx, hxy, hyy, variance = sums[1:5]
         determinant = hxx * hyy - hxy * hxy
         flat = determinant < np.float32(1e-3) * (hxx + hyy) * (hxx + hyy)
@@ -87,7 +86,7 @@ def _align_each(patches, search, half, iterations, stride, work, pixels, found):
 
 
 @compiled
-def _workspace(half, stride):  # type: ignore[no-untyped-def]
+def workspace(half, stride):  # type: ignore[no-untyped-def]
     """Buffers (8, size): wide, template, gx, gy, rows, weight, across, down.
 
     `wide` is the patch with a margin of one pixel for gradients, `rows` rows of pixels after
@@ -106,7 +105,7 @@ def _workspace(half, stride):  # type: ignore[no-untyped-def]
 
 
 @compiled(**NO_REFCOUNT)
-def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
+def cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     """Cut the wide patch by bilinear interpolation; False if it is not inside of the image."""
     height, width = image.shape
     flat = image.reshape(-1)
@@ -117,7 +116,7 @@ def _cut(image, x, y, half, stride, work):  # type: ignore[no-untyped-def]
     if at + side * width + stride >= len(flat):
         return False
     ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
-    _blend_rows(flat, width, at, ax, np.float32(0), side + 1, stride, work)
+    blend_rows(flat, width, at, ax, np.float32(0), side + 1, stride, work)
     _blend_columns(side * stride, stride, ay, work)
     return True
 
@@ -146,7 +145,7 @@ def _cut_stretched(image, x, y, inverse, half, stride, work, pixels):  # type: i
 
 
 @compiled(fastmath={"contract"}, **NO_REFCOUNT)
-def _blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
+def blend_rows(flat, width, at, ax, shift, count, stride, work):  # type: ignore[no-untyped-def]
     """Fill `rows` with an even number of rows of pixels, interpolated horizontally, less `shift`.
 
     Two rows per iteration: LLVM then processes 16 numbers at once, the length of a row. With one
@@ -215,7 +214,7 @@ def _stretch(flat, width, x, y, inverse, farthest, size, work, pixels):  # type:
 
 
 @compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
-def _template(side, stride, work):  # type: ignore[no-untyped-def]
+def make_template(side, stride, work):  # type: ignore[no-untyped-def]
     """Fill template, gx and gy of the wide patch, without their means; gives the sums.
 
     Returns:
@@ -269,8 +268,8 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
         ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
         # Grey levels less the mean of the previous step: sums of squares of large numbers would
         # lose digits in single precision.
-        _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
-        total, squares, cross, cx, cy = _compare(side * stride, stride, ay, work, work[1:4])
+        blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
+        total, squares, cross, cx, cy = compare(side * stride, stride, ay, work, work[1:4])
         change = total / area
         mean += change
         variance_now = max(squares - total * change, np.float32(1e-6))
@@ -290,7 +289,7 @@ def _search(image, x, y, half, stride, sums, iterations, work):  # type: ignore[
 
 
 @compiled(fastmath={"reassoc", "contract"}, **NO_REFCOUNT)
-def _compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
+def compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
     """Sums of I, I I, T I, gx I and gy I; the rows of `patch` (3, size or more) are T, gx, gy.
 
     I is interpolated vertically on the fly, so that it is never stored.
@@ -307,83 +306,3 @@ def _compare(size, stride, ay, work, patch):  # type: ignore[no-untyped-def]
         cx += gx[k] * value
         cy += gy[k] * value
     return total, squares, cross, cx, cy
-
-
-@compiled
-def cut_all(image, xy, half):  # type: ignore[no-untyped-def]
-    """Templates with gradients (N, 3, size), and sums (N, 7), 0 where a patch is not usable."""
-    side = 2 * half + 1
-    stride = _LANES if side + 2 <= _LANES else 2 * _LANES
-    work, size = _workspace(half, stride), side * stride
-    templates = np.empty((len(xy), 3, size), dtype=np.float32)
-    sums = np.zeros((len(xy), 7), dtype=np.float32)
-    for n in range(len(xy)):
-        if _cut(image, xy[n, 0], xy[n, 1], half, stride, work):
-            found = _template(side, stride, work)
-            if found[4] >= np.float32(4.0 * side * side):  # else blank
-                for k in range(7):
-                    sums[n, k] = found[k]
-                for m in range(3):
-                    for k in range(size):
-                        templates[n, m, k] = work[1 + m, k]
-    return templates, sums
-
-
-@compiled
-def step_together(  # type: ignore[no-untyped-def]
-    templates, sums, image, points, pixel_from_ideal, intrinsics, t, half, noise
-):
-    """Normal equations of one Gauss-Newton step of the camera, from all patches.
-
-        H = sum w (da/dxi)^T (grad grad^T) da/dxi,    b = -sum w (da/dxi)^T grad e,
-
-    with a the image position of a patch, Cauchy's weight w and xi the tangent of exp(xi) @ t.
-
-    Returns:
-        H (6, 6), b (6,), the value of xi^T H xi for a step of one pixel of every patch, and scores
-        (N,), -1 for patches that are not visible.
-    """
-    side = 2 * half + 1
-    stride = _LANES if side + 2 <= _LANES else 2 * _LANES
-    work, area = _workspace(half, stride), np.float32(side * side)
-    flat = image.reshape(-1)
-    h, b, per_pixel, j = np.zeros((6, 6)), np.zeros(6), 1e-12, np.empty((2, 6))
-    score = np.full(len(points), -1.0)
-    for n in range(len(points)):
-        p, a = points[n], pixel_from_ideal[n]
-        x, y, z = to_camera(t, p[0], p[1], p[2])
-        if sums[n, 4] == 0.0 or z < MIN_DEPTH:
-            continue
-        iz = 1.0 / z
-        x, y = x * iz, y * iz
-        u, v = pixel(intrinsics, x, y, 1.0)
-        left = a[0, 0] * u + a[0, 1] * v + a[0, 2] - half
-        top = a[1, 0] * u + a[1, 1] * v + a[1, 2] - half
-        height, width = image.shape
-        if not (left >= 0 and left + side < width - 1 and top >= 0 and top + side < height - 1):
-            continue
-        at = int(top) * width + int(left)
-        if at + side * width + stride >= len(flat):
-            continue
-        mean, hxx, hxy, hyy, variance, bx, by = sums[n]
-        ax, ay = np.float32(left - int(left)), np.float32(top - int(top))
-        _blend_rows(flat, width, at, ax, mean, side + 1, stride, work)
-        total, squares, cross, gx, gy = _compare(side * stride, stride, ay, work, templates[n])
-        variance_now = max(squares - total * total / area, np.float32(1e-6))
-        gain = np.sqrt(variance / variance_now)
-        ex, ey = gx * gain - bx, gy * gain - by
-        score[n] = cross / np.sqrt(variance * variance_now)
-        # Cauchy's weight of the mean squared residual per pixel.
-        weight = 1.0 / (noise * noise + 2.0 * variance * (1.0 - score[n]) / area)
-        by_u, by_v = by_cam_from_world(intrinsics.fx, intrinsics.fy, x, y, iz)
-        for m in range(6):
-            j[0, m] = a[0, 0] * by_u[m] + a[0, 1] * by_v[m]
-            j[1, m] = a[1, 0] * by_u[m] + a[1, 1] * by_v[m]
-        for m in range(6):
-            gu = weight * (j[0, m] * hxx + j[1, m] * hxy)
-            gv = weight * (j[0, m] * hxy + j[1, m] * hyy)
-            b[m] -= weight * (j[0, m] * ex + j[1, m] * ey)
-            for k in range(6):
-                h[m, k] += gu * j[0, k] + gv * j[1, k]
-        per_pixel += weight * 0.5 * (hxx + hyy)
-    return h, b, per_pixel, score

@@ -54,10 +54,10 @@ def sparse_image_alignment(
         frame.pyramid,
         points,
         start,
-        _distortion_near(transform_points(start, points), rig, velocity),
+        _distortion_near(start, points, rig, velocity),
         rig.intrinsics,
     )
-    if float(np.mean(found.score >= _MIN_SCORE)) < _MIN_SCORE_RATIO:
+    if np.count_nonzero(found.score >= _MIN_SCORE) / len(points) < _MIN_SCORE_RATIO:
         return None
     return inverse(found.target_from_reference)
 
@@ -72,18 +72,27 @@ def _shown(points: Floats, mask: Bytes, rig: RectifiedRig) -> Bools:
     return kept
 
 
-def _distortion_near(points: Floats, rig: RectifiedRig, velocity: Velocity | None) -> Floats:
-    """Affine maps (N, 2, 3) from ideal pixels near points (N, 3) to pixels of the image."""
-    xy = rig.project(points)
-    affine = _lens_near(xy, rig)
+def _distortion_near(
+    start: Floats, points: Floats, rig: RectifiedRig, velocity: Velocity | None
+) -> Floats:
+    """Affine maps (N, 2, 3) from ideal pixels to those of the image.
+
+    Near points (N, 3), which `start` (4, 4) takes to the camera.
+    """
+    affine = np.zeros((len(points), 2, 3))
+    affine[:, 0, 0] = affine[:, 1, 1] = 1.0
+    if rig.lens is None and velocity is None:
+        return affine
+    in_cam = transform_points(start, points)
+    xy = rig.project(in_cam)
+    if rig.lens is not None:
+        affine = _lens_near(xy, rig)
     if velocity is not None:
-        affine[:, :, 2] += as_seen(rig, xy, 1.0 / points[:, 2], velocity) - rig.distort(xy)
+        affine[:, :, 2] += as_seen(rig, xy, 1.0 / in_cam[:, 2], velocity) - rig.distort(xy)
     return affine
 
 
 def _lens_near(xy: Floats, rig: RectifiedRig) -> Floats:
-    if rig.lens is None:
-        return np.tile(np.eye(2, 3), (len(xy), 1, 1))
     beside = np.concatenate([xy, xy + (1.0, 0.0), xy + (0.0, 1.0)])
     at, right, down = rig.distort(beside).reshape(3, -1, 2)
     linear = np.stack([right - at, down - at], axis=2)
