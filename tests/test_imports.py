@@ -47,7 +47,6 @@ ENTRANCES = {
 # room needs a place here; `api` and `cli` are one room each.
 FLOORS: dict[str, tuple[set[str], ...]] = {
     "vo.base": (
-        {"named_tuple"},
         {"errors", "failures", "faults", "printable", "scheduling", "stopwatch", "version"}
         | {"compiling", "frozen", "option_names", "section"},
         {"files"},

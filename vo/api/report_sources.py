@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.api.eval_inputs import is_log, truth_of_log
 from vo.base.errors import EvaluationError, SourceError, VoError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Mode, Trajectory, with_image0
 from vo.outputs.evaluation.association import tracked_part
 from vo.outputs.evaluation.evaluation import Evaluation, evaluate

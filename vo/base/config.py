@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from vo.base.feature_settings import DescriptorName as DescriptorName
 from vo.base.feature_settings import DetectorName as DetectorName
@@ -18,7 +18,6 @@ from vo.base.feature_settings import FeaturesConfig as FeaturesConfig
 from vo.base.feature_settings import MatchingConfig as MatchingConfig
 from vo.base.feature_settings import MatchingName as MatchingName
 from vo.base.images.image_areas import anchored, parse_area
-from vo.base.named_tuple import NamedTuple
 from vo.base.section import Section, expert, setting
 from vo.base.settings import (
     as_yaml,
@@ -373,7 +372,8 @@ def load_config(config: str | Path = "default", overrides: Sequence[str] = ()) -
         ConfigError: unknown preset, file or key, or a value of the wrong type or range.
     """
     path = find_preset(config, preset_folder())
-    merged = {} if path == preset_folder() / "default.yaml" else read_settings(path)
+    is_default = path == preset_folder() / "default.yaml"
+    merged = {} if is_default else read_settings(path)
     _anchor_files(merged, path.parent)
     renamed = replace_old_names(merged, _RENAMED)
     for text in overrides:  # each replaces what comes before it, by whichever name

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum, StrEnum
-
-from vo.base.named_tuple import NamedTuple
+from typing import NamedTuple
 
 
 class ImageDefect(StrEnum):

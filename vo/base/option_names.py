@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-
-from vo.base.named_tuple import NamedTuple
+from typing import NamedTuple
 
 _OPTION = re.compile(r"`([a-z_][a-z0-9_]*(?:\.[a-z0-9_]+)?)(?:=([^`]*))?`")
 

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import field
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from vo.base.failures import Failure
 from vo.base.faults import Fault
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]

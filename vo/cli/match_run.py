@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.config import Config, load_config
 from vo.base.errors import ConfigError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats
 from vo.cli.console import standard_error
 from vo.cli.match_table import print_failures, print_pair, print_set

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich.markup import escape
 
 from vo.base.errors import ConfigError, InputError, OutputError
 from vo.base.files.complete_file import complete_file
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera
 from vo.cli.console import standard_output
 from vo.cli.echo import echo

@@ -6,11 +6,11 @@ import glob
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 from rich.markup import escape
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import counted
 from vo.base.records.closed_loops import ClosedLoop, Relocalisation
 from vo.base.records.metric_scale import MetricScale

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.config import Config
 from vo.base.errors import ConfigError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.noise_classes import NOISE_CLASSES
 from vo.base.scheduling import available_cores
 from vo.base.stopwatch import Stopwatch

@@ -13,12 +13,12 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import Config
 from vo.base.errors import CalibrationError, NoCalibration
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.types import Camera, Estimate, Floats, Frame, Landmarks, Rig
 from vo.engine.backend.lens_adjustment import (

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.cameras import distort
 from vo.base.geometry.transforms import inverse, make_transform
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, Floats
 from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.engine.geometry import so3

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from vo.base.faults import Fault, FaultKind
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Ints
 

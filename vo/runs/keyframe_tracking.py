@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import closing
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import Config
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Estimate, Floats, Frame, KeyframePose, Landmarks, Rig, Sightings
 from vo.engine.backend.lens_adjustment import KeyframeViews
 from vo.engine.odometry import Odometry

@@ -11,7 +11,7 @@ import logging
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from vo.base.errors import CalibrationError, NoCalibration
 from vo.base.geometry.cameras import normalise
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import make_transform
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.types import Camera, Floats, Frame, Rig
 from vo.engine.frontend.contracts import feature_set

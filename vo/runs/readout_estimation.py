@@ -10,13 +10,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import Config, SmoothingConfig
 from vo.base.geometry.cameras import ideal_pixels
 from vo.base.geometry.transforms import inverse, se3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Estimate, Floats, Rig
 from vo.engine.backend.lens_adjustment import (
     IDEAL,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.config import Config, MasksConfig
 from vo.base.faults import Fault, FaultKind
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.estimated_camera import EstimatedCamera
 from vo.base.records.focal_length import MAX_SIGMA, FocalLength, focal_change
 from vo.base.records.inertial_use import InertialUse

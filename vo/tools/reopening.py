@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.focal_length import FocalLength
 from vo.base.types import Floats, Mode
 from vo.outputs.report.run_folder import RunRecord, table_rows

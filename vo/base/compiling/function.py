@@ -15,12 +15,11 @@ from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from types import FunctionType
-from typing import Any, Generic, ParamSpec, TypeVar, cast, overload
+from typing import Any, Generic, NamedTuple, ParamSpec, TypeVar, cast, overload
 
 from vo.base.compiling import machine_code, store
 from vo.base.compiling.fingerprint import fingerprint, names_in, source_of
 from vo.base.compiling.signatures import describe, signature_of
-from vo.base.named_tuple import NamedTuple
 
 P = ParamSpec("P")
 R = TypeVar("R")

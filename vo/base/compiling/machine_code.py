@@ -20,9 +20,7 @@ from functools import lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES, ExtensionFileLoader
 from pathlib import Path
 from types import FunctionType, ModuleType
-from typing import Any
-
-from vo.base.named_tuple import NamedTuple
+from typing import Any, NamedTuple
 
 _SUPPORTED_VERSIONS = ("0.68.",)
 _SUPPORTED_SYSTEM = ("CPython", "Linux", "x86_64")

@@ -7,6 +7,8 @@ and columns or mirrors the images: their rectified cameras are built here from t
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -15,7 +17,6 @@ from vo.base.geometry import cameras
 from vo.base.geometry.distortion import centre_scale
 from vo.base.geometry.rectification_maps import Maps, narrow_maps, wide_maps
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Camera, Floats
 
 # A pair is side by side if its baseline is this near to the x axis of cam0, and the rotation

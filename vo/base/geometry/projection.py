@@ -11,10 +11,9 @@ same bits from them only as long as nobody reorders them.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 MIN_DEPTH = 1e-6  # z below which a point counts as behind the camera

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.cameras import normalise, project
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Camera, Floats, Rig
 
 DISTANCES_M = (1.0, 2.0, 5.0, 10.0, 30.0)

@@ -7,10 +7,11 @@ wrong too, which cannot be observed: a roll by w adds w x to rows and w y to dis
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.quantiles import median
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 
 _ITERATIONS = 20

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-
-from vo.base.named_tuple import NamedTuple
+from typing import NamedTuple
 
 _CAMERAS = {"left": (0,), "right": (1,), "both": (0, 1)}
 _MAX_COORDINATE = 1e5

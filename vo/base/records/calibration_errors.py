@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from vo.base.named_tuple import NamedTuple
+from typing import NamedTuple
+
 from vo.base.types import Floats
 
 

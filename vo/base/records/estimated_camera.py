@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vo.base.named_tuple import NamedTuple
+from typing import NamedTuple
 
 _MAX_RELATIVE_SIGMA = 0.03  # of the focal length, above which a path is not to be trusted
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vo.base.named_tuple import NamedTuple
+from typing import NamedTuple
 
 MAX_SIGMA = 0.015
 """Of the logarithm of a focal length, above which a path is not to be trusted."""

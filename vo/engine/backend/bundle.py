@@ -10,12 +10,13 @@ factors); Golub and Pereyra, "The Differentiation of Pseudo-Inverses", 1973 (var
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import PixelObservations
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 from vo.engine.backend import block_kernels
 from vo.engine.backend.path_equations import Levels, PathEquations

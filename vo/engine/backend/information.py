@@ -9,9 +9,10 @@ which this model is derived.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.engine.backend import block_kernels
 from vo.engine.backend.block_matrix import assembled

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +19,6 @@ from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import inverse, whole_transforms
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend import block_kernels
 from vo.engine.backend.bundle import Bundle, views_of

@@ -9,12 +9,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.path_equations import Levels, PathEquations, coupled_poses, levels_of

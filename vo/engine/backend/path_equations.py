@@ -12,11 +12,11 @@ of a chain).
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.compiling.function import compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.block_matrix import BLOCK, LANES, assembled
 from vo.engine.geometry.points import by_points

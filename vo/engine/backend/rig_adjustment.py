@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import adjoint, inverse, orthonormalised, se3_exp
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle, NormalEquations
 from vo.engine.backend.bundle_adjustment import well_observed

@@ -7,12 +7,12 @@ their own frames, that of its first view.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import adjoint, inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.backend.bundle import Bundle
 from vo.engine.backend.residuals import with_measured_noise

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.graph_problem import Edges
 from vo.engine.backend.sparse_blocks import Couplings

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.frozen import frozen
 from vo.base.geometry.projection import Intrinsics
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 
 if TYPE_CHECKING:

@@ -6,11 +6,10 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Descriptors, Floats, Floats32
 from vo.engine.features.detections import Detections, from_opencv
 from vo.engine.features.opencv import has_algorithm, require_algorithm

@@ -5,13 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import cv2
 import numpy as np
 
 from vo.base.config import FeaturesConfig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes
 from vo.engine.features.descriptors import PRECISE_SIFT
 from vo.engine.features.detections import Detections, Detector, at_points, from_opencv

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from vo.base.compiling.function import compiled
 from vo.base.config import FeaturesConfig, MatchingConfig, MatchingName
 from vo.base.errors import ConfigError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Descriptors, Floats, Floats32, Ints
 from vo.engine.features.detectors import DETECTORS
 from vo.engine.features.nearest import Nearest, make_search

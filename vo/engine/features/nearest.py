@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Descriptors, Floats, Ints
 
 _FLANN_KD_TREE, _FLANN_LSH = 1, 6

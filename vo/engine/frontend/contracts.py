@@ -8,12 +8,11 @@ ones; others are handed to `vo.engine.odometry.Odometry`.
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Descriptors, Floats, Floats32, Ints, Keypoints
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from vo.base.config import Config
-from vo.base.named_tuple import NamedTuple
 from vo.engine.frontend.contracts import FeatureExtractor, Matcher
 from vo.engine.frontend.matching import HammingMatcher
 from vo.engine.frontend.orb import OrbExtractor

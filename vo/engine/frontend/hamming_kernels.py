@@ -8,11 +8,12 @@ sorted into a `Grid` of square cells, so that only cells of the search region ar
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 
 NO_MATCH = -1

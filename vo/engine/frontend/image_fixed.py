@@ -12,12 +12,13 @@ fixed content by its first image, which it matches best a fraction of a pixel aw
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import percentiles
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats32
 from vo.engine.frontend.dark_border import DarkBorder
 from vo.engine.frontend.image_gradients import (

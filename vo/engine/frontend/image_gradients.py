@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from vo.base.compiling.function import compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats32
 
 _SIDE_PX, _RADIUS_PX = 7, 3  # of the window whose gradients are compared

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.compiling.function import compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes
 
 _ROW_STEP = 16  # every sixteenth row is enough

@@ -6,6 +6,8 @@ wrong matches, and from those a path that looks sound. Such recordings are refus
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -13,7 +15,6 @@ from vo.base.errors import SourceError
 from vo.base.geometry.quantiles import percentiles
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparityFit
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Frame
 from vo.engine.frontend.contracts import FeatureExtractor
 from vo.engine.frontend.pair_matching import PairMatcher, PairPoints, View

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Keypoints
 from vo.engine.frontend.contracts import EpipolarSegments, Matcher, feature_set
 from vo.engine.frontend.patch_alignment import PatchAligner, patches_of

@@ -9,10 +9,11 @@ patches of equal mean and contrast, so that a change of exposure does not move t
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.config import PatchConfig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Ints
 from vo.engine.frontend import patch_kernels
 

@@ -7,9 +7,9 @@ camera's path in its place, so the frames are tracked once more, without it.
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 from vo.base.faults import Fault
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Frame
 from vo.engine.frontend.image_fixed import ImageFixed
 from vo.engine.frontend.image_repetition import Repetition

@@ -8,6 +8,8 @@ motion. Both are estimated together, from several pairs.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -15,7 +17,6 @@ from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import PRIOR_SIGMA_PX, vertical_disparity_terms
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats
 from vo.engine.frontend.pair_matching import PairPoints
 

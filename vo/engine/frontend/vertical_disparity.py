@@ -13,6 +13,7 @@ of the right camera from rows).
 from __future__ import annotations
 
 from copy import deepcopy
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +25,6 @@ from vo.base.geometry.vertical_disparity_model import (
     VerticalDisparity,
     VerticalDisparityFit,
 )
-from vo.base.named_tuple import NamedTuple
 from vo.engine.frontend.contracts import Matcher
 from vo.engine.frontend.pair_matching import PairMatcher, PairPoints, View
 from vo.engine.frontend.patch_alignment import PatchAligner

@@ -9,11 +9,11 @@ inertial navigation", 1971.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 
 _COARSE_S = 0.01

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 State = TypeVar("State")

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
 from vo.base.geometry.projection import Intrinsics, from_world, project
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 
 # Minimum depth, relative to the distance from the reference camera, for a prediction.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from vo.base.geometry.projection import (
     to_camera,
 )
 from vo.base.geometry.transforms import orthonormalised
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 
 # Squared Mahalanobis length of a step below which the iteration has converged.

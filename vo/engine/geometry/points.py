@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
@@ -14,7 +16,6 @@ from vo.base.geometry.projection import (
     point_derivatives,
     to_camera,
 )
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 
 # A (3, 3) normal matrix is singular if its determinant is at most this times its cubed trace.

@@ -9,11 +9,12 @@ servoing (Chaumette and Hutchinson, "Visual servo control, part I", 2006, eq. 11
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import compiled
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 _ROUNDS = 2  # to find the row in which a point is seen; each leaves a tenth of the error or less

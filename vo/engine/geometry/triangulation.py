@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import compiled
 from vo.base.geometry.projection import Intrinsics, project, to_camera
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 
 

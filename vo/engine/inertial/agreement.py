@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 from vo.engine.inertial.chain_solver import Equations, empty_equations, solve_chain
 from vo.engine.inertial.estimation import ChainProblem

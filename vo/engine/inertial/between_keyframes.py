@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.frozen import frozen
 from vo.base.geometry.transforms import adjoint, inverse, make_transform
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.inertial.chain_solver import Equations

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.inertial.estimation import Prior, estimate_states
 from vo.engine.inertial.preintegration import Preintegrated, preintegrate

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 

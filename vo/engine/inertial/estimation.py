@@ -8,11 +8,11 @@ scale may drift from keyframe to keyframe.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.geometry import so3
 from vo.engine.inertial.chain_solver import ChainSolution, Equations, empty_equations, solve_chain

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.inertial.factor_kernels import inertial_factors, visual_factors
 from vo.engine.inertial.preintegration import Preintegrated

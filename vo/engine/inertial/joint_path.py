@@ -7,11 +7,11 @@ poses, to which the information of the images is added.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise
 from vo.engine.geometry import so3
 from vo.engine.inertial.chain_solver import Equations

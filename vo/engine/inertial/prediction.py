@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse, make_transform, skew
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise
 from vo.engine.inertial.preintegration import Preintegrated, preintegrate, rotation_of
 from vo.engine.inertial.samples import SampleReader

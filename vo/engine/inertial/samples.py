@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, ImuNoise, Ints
 from vo.engine.inertial.preintegration import Interval
 from vo.engine.inertial.sample_checks import refused_samples

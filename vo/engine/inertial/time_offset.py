@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.engine.geometry.gyro_alignment import GyroAlignment, Rotations, align_gyro
 from vo.engine.geometry.so3 import log_rows

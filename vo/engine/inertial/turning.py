@@ -6,10 +6,11 @@ show that the camera only turns, and give the bias of the gyroscope.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.quantiles import median
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.geometry import so3
 from vo.engine.inertial.initialisation import upright

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, ImuNoise, Ints, KeyframePose
 from vo.engine.inertial.bridging import EndState, bridge, moved_to
 from vo.engine.inertial.keyframe_states import KeyframeStates

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.frozen import frozen
 from vo.base.geometry.similarity import Similarity
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Trajectory
 from vo.engine.inertial.world_alignment import alignment_covariance, upright_alignment
 from vo.engine.places.records import InertialPose, RegisteredKeyframes

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.errors import ModelError
-from vo.base.named_tuple import NamedTuple
 from vo.engine.learned.aliked_graph import aliked_model
 from vo.engine.learned.disk import disk_model
 from vo.engine.learned.graph import Tensor

@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
 from vo.base.errors import ConfigError, ModelError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats32
 from vo.engine.learned.replay import Replay
 

@@ -8,11 +8,10 @@ point is left out on the way (the paper's section 3.3 describes both as options)
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Floats32, Ints
 from vo.engine.frontend.contracts import FeatureSet, Matcher, Matches, SearchRegion
 from vo.engine.learned.graph import (

@@ -8,13 +8,13 @@ where no feature was detected in the other image.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Ints
 from vo.engine.geometry import sim3
 from vo.engine.loop_verification.landmark_search import KeyframePair

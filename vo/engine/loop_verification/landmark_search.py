@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import MatchingConfig
 from vo.base.frozen import frozen
 from vo.base.geometry.projection import Intrinsics
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Camera, Floats, Ints
 from vo.engine.frontend.contracts import Circles, FeatureSet
 from vo.engine.frontend.hamming_kernels import best_in_groups

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Descriptors, Floats, Floats32, Ints
 from vo.engine.geometry import sim3
 from vo.engine.places.records import Place

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
 from vo.base.geometry.projection import MIN_DEPTH, Intrinsics, project, to_camera
 from vo.base.geometry.quantiles import median
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 from vo.engine.geometry import sim3
 

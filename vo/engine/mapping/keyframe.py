@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.frozen import frozen
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Ints, Keypoints
 from vo.engine.geometry.rolling_shutter import Velocity, at_middle_row
 

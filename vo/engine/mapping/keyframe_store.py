@@ -8,12 +8,11 @@ build on it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Descriptors, Floats, Ints
 from vo.engine.mapping.keyframe import Keyframe
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Descriptors, Floats32, Ints, Keypoints
 from vo.engine.frontend.contracts import PointDescriber
 from vo.engine.geometry.neighbours import far_from

@@ -12,11 +12,11 @@ whose projection is compared with the measured one.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, rotation_angle, so3_exp
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 
 _HUBER = 3.0  # standard deviations of a corner's distance

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, make_transform
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.geometry import sim3
 from vo.engine.markers.marker_problem import MarkerProblem, MarkerView

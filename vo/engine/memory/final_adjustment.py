@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from vo.base.config import Config
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.similarity import Similarity
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Bytes, Floats, Ints
 from vo.engine.backend.loop_adjustment import (

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.projection import PixelObservations
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Ints
 from vo.engine.frontend.patch_alignment import PatchAligner
 from vo.engine.frontend.preprocessing import PreprocessedFrame

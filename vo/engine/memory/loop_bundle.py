@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Floats32, Ints
 from vo.engine.backend.loop_adjustment import NO_MOTIONS, AdjustedPath, Motions, adjust_path
 from vo.engine.backend.window_problem import WindowProblem

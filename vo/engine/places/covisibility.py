@@ -6,13 +6,12 @@ when most observations are theirs, the chains are made anew.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.compiling.function import compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 
 _Ints32 = NDArray[np.int32]

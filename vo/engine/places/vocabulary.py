@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from vo.base.compiling.function import compiled
 from vo.base.compiling.signatures import usual_array
 from vo.base.errors import InputError
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Descriptors, Floats32, Ints
 from vo.engine.frontend.hamming_kernels import hamming
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from vo.base.config import RefinementConfig
 from vo.base.faults import Fault
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.calibration_errors import CalibrationResidual
 from vo.engine.refinement.disparity_bias import DisparityBiasEstimator, is_from_yaw
 from vo.engine.refinement.radial_distortion import RadialDistortionEstimator

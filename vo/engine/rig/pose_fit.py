@@ -6,11 +6,12 @@ Source: Pless, "Using many cameras as one", CVPR 2003; the robust weights are th
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.projection import MIN_DEPTH, Intrinsics
 from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.rig.velocity import VelocityPrior
 

@@ -8,6 +8,7 @@ centre of the turn move differently, which tells it (`vo.engine.backend.rig_adju
 from __future__ import annotations
 
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from vo.base.config import Config
 from vo.base.failures import Failure, FailureReason
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.frontend.frontend import Frontend
 from vo.engine.mapping.local_map import LocalMap

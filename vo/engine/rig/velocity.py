@@ -7,11 +7,11 @@ one confirms it. The poses of neighbouring frames have no such offset.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, se3_exp, se3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 _UNKNOWN_SIGMA = 0.5  # of a velocity of which nothing is known, rad/s and m/s

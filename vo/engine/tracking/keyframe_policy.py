@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import compiled
 from vo.base.config import KeyframeConfig
 from vo.base.geometry.quantiles import median
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.mapping.keyframe import Keyframe

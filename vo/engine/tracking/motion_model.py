@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, orthonormalised, se3_exp, se3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 
 if TYPE_CHECKING:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.mapping.tracked_frame import TrackedFrame
 

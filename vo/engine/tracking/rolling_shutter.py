@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, se3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.geometry.rolling_shutter import Velocity, at_middle_row, disparity_at_middle_row
 from vo.engine.mapping.local_map import LocalMap

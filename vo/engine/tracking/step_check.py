@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import median
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.mapping.tracked_frame import TrackedFrame
 

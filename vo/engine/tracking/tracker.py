@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from vo.base.failures import Failure, FailureReason
 from vo.base.faults import Fault
 from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.stopwatch import Stopwatch, timed
 from vo.base.types import Floats, Ints
 from vo.engine.frontend.contracts import Circles, FeatureSet, feature_set

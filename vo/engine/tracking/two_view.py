@@ -6,6 +6,7 @@ Source: Mur-Artal et al., "ORB-SLAM", 2015, sec. IV (automatic map initialisatio
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +16,6 @@ from vo.base.failures import Failure, FailureReason
 from vo.base.frozen import frozen
 from vo.base.geometry.projection import Intrinsics, PixelObservations
 from vo.base.geometry.quantiles import median
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.geometry import epipolar
 from vo.engine.geometry.pnp import refine_pose

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.geometry.transforms import adjoint, inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, KeyframePose
 
 INERTIAL, TURNED = -1.0, -2.0

@@ -8,8 +8,8 @@ import queue
 import threading
 import time
 from dataclasses import replace
+from typing import NamedTuple
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.snapshot import Snapshot
 from vo.base.types import Estimate, KeyframePose, Rig, Trajectory
 from vo.outputs.recorders.recorder import NO_FINDINGS, Findings, Recorder, TakeSnapshot

@@ -8,14 +8,13 @@ import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.geometry import cameras
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats, Ints, Landmarks, Sightings
 
 LANDMARK_ROW = np.dtype(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.closed_loops import ClosedLoop, Relocalisation
 from vo.base.records.metric_scale import MetricScale
 from vo.base.records.seen_markers import SeenMarkers

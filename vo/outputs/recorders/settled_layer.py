@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from vo.base.geometry.transforms import quat_xyzw_from_rotation, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Floats32, Ints, KeyframePose, Landmarks, Trajectory
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.timelines import Batch, Moment, Strips

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import rerun as rr
 
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Estimate, Floats, Floats32, Trajectory
 from vo.outputs.recorders import entities
 from vo.outputs.recorders.sink import Sink

@@ -7,7 +7,7 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import read_text
 from vo.base.files.bounded_json import load_json
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints, Trajectory
 from vo.outputs.report.summary_schema import check_summary
 from vo.recordings.formats.trajectory import read_tum

@@ -6,7 +6,7 @@ import base64
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +15,6 @@ from vo.base.config import Config
 from vo.base.files.bounded_files import read_text
 from vo.base.files.bounded_json import load_json
 from vo.base.files.bounded_yaml import load_yaml
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Ints
 from vo.outputs.report.entry import Entry, Thumbnail
 from vo.outputs.report.markup import Markup, element, inline_svg, join, number, table

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,6 @@ from vo.base.files.bounded_json import load_json
 from vo.base.geometry.geodesy import enu_from_geodetic
 from vo.base.geometry.similarity import Similarity, umeyama
 from vo.base.geometry.transforms import inverse, so3_exp
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints, Trajectory
 from vo.outputs.evaluation.plots import axes_from_above
 from vo.outputs.report.entry import Entry, gaps

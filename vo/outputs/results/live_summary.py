@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.failures import Gap
-from vo.base.named_tuple import NamedTuple
 
 
 class Delay(NamedTuple):

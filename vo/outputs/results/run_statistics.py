@@ -5,13 +5,13 @@ from __future__ import annotations
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.failures import Failure, FailureReason, ImageDefect, describe
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import median, percentiles
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Estimate, Ints, Skipped, State
 
 # Found by tracking, and not in the images alone.

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from enum import Enum
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from vo.base.failures import Failure
 from vo.base.frozen import frozen
 from vo.base.geometry.rig_overlap import is_rig
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.calibration_errors import (
     CalibrationErrors,
     CameraPoseError,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
-from vo.base.named_tuple import NamedTuple
+from typing import Literal, NamedTuple
 
 Grade = Literal["good", "caution", "bad"]
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.faults import Fault
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Estimate, Floats, KeyframePose, PredictedPose
 from vo.recordings.formats.trajectory import pose_fields
 

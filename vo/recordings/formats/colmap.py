@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats, Ints
 
 MODEL_FILES = ("cameras.txt", "images.txt", "points3D.txt")

@@ -9,11 +9,11 @@ from __future__ import annotations
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Camera, Floats, Ints
 from vo.recordings.formats.colmap import CENTRE_TO_CORNER_PX, camera_model, has_colmap_model
 

@@ -7,9 +7,9 @@ that they agree.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.errors import CalibrationError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.recordings.formats.calibration import Calibration, read_calibration
 from vo.recordings.formats.calibration.document import load_document

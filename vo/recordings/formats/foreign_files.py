@@ -5,9 +5,9 @@ from __future__ import annotations
 import shlex
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.files.bounded_files import open_regular
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import counted
 
 _HEAD_BYTES = 512

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
@@ -15,7 +16,6 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Floats32
 from vo.recordings.formats.foxglove import quaternion, schema_of, timestamp, vector
 from vo.recordings.formats.messages import Schema

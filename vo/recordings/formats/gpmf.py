@@ -10,10 +10,10 @@ import math
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.recordings.formats.mp4_boxes import Payload
 

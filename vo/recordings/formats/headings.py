@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-
-from vo.base.named_tuple import NamedTuple
 
 _UNIT = re.compile(r"[\[(](.*?)[\])]|[_ ](deg/?_?s|dps|rad/?_?s|m/?_?s\^?2|mg|g|ns|us|ms|s|sec)$")
 _PREFIX = r"(?:field)?(?:imu\d?)?"

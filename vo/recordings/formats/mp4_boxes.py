@@ -9,10 +9,9 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 
 _CONTAINERS = (b"trak", b"mdia", b"minf", b"stbl")
 _MAX_MOOV_BYTES = 256 * 2**20

@@ -5,12 +5,12 @@ from __future__ import annotations
 import logging
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import read_table_text
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.recordings.formats.headings import (
     POSITION,

@@ -8,9 +8,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal, get_args
-
-from vo.base.named_tuple import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 WarningKind = Literal[
     "repeated_stamps", "unpaired_images", "large_baseline", "calibration", "stamps", "fault"

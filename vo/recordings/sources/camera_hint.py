@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import NamedTuple
 
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.exif import (
     FOCAL_35_MM,
     FOCAL_MM,

@@ -6,11 +6,11 @@ import glob
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.errors import CalibrationError, SourceError
 from vo.base.faults import Fault
 from vo.base.files.bounded_files import read_text
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Mode
 from vo.recordings.formats.calibration import Calibration, ImageSize
 from vo.recordings.sources.assembly import RecordingContents, calibration_reader, tum_truth

@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.headings import (
     ACCEL,
     GYRO,

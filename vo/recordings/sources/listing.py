@@ -9,10 +9,10 @@ import statistics
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.headings import split_fields
 from vo.recordings.formats.stamp_units import (
     NAMES,

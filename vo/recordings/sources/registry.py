@@ -11,11 +11,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import lfs_pointer_message
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Mode
 from vo.recordings.formats.foreign_files import foreign_message
 from vo.recordings.sources.assembly import RecordingContents, assemble

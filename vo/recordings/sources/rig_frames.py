@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Ints
 from vo.recordings.sources.images import Pixels, StoredImage
 from vo.recordings.sources.listing import Shot, median_interval_ns

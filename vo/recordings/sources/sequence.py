@@ -12,13 +12,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import counted
 from vo.base.scheduling import give_way
 from vo.base.types import Bytes, Camera, Floats32, Frame, Ints, Rig, Skipped, Trajectory

@@ -8,12 +8,12 @@ import logging
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import counted
 from vo.recordings.sources.images import ImageFile
 from vo.recordings.sources.series_content import compare_series

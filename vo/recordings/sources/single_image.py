@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.errors import CalibrationError, SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Rig
 from vo.recordings.sources.grey_levels import find_grey_levels
 from vo.recordings.sources.images import ImageFile

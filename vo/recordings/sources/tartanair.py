@@ -15,7 +15,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import cv2
 import numpy as np
@@ -25,7 +25,6 @@ from vo.base.files.bounded_files import read_bytes
 from vo.base.geometry.transforms import make_transform
 from vo.base.images.image_decoding import is_complete, quiet_opencv
 from vo.base.images.image_header import MAX_PIXELS, stated_size
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, Floats32, Mode, Rig, Trajectory
 from vo.recordings.formats.calibration import Calibration, ImageSize, read_calibration
 from vo.recordings.formats.trajectory import read_tartanair

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import av
 import numpy as np
@@ -20,7 +21,6 @@ from av.video.stream import VideoStream
 
 from vo.base.errors import SourceError
 from vo.base.images.image_header import MAX_PIXELS
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.sources.images import Pixels
 
 _NOT_A_VIEW = re.compile(r"depth|disparity|mask|confidence", re.IGNORECASE)

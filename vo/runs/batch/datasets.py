@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 from vo.base.errors import SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.runs.batch.job import Job, JobResult
 
 _MAX_DEPTH = 3  # of sequences below the folder of a data set

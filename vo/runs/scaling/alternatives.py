@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.geodesy import enu_from_geodetic, geodetic_from_enu
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.runs.scaling.fit import PositionFit
 from vo.runs.scaling.height_drift import find_height_drift

@@ -6,10 +6,11 @@ may be correlated in time, as those of GPS are.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.similarity import umeyama_each
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.runs.scaling.correlation import correlated_variance
 

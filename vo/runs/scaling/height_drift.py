@@ -7,10 +7,10 @@ drift in time is no slope of the path; on a straight road at constant speed it l
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.runs.scaling.fit import PositionFit
 from vo.runs.scaling.positions import Positions

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.metric_scale import MetricScale, ScaleFindings
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.records.snapshot import Snapshot

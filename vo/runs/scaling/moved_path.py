@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.metric_scale import PositionUse, WheelUse
 from vo.base.types import Floats, Ints
 from vo.engine.geometry import sim3

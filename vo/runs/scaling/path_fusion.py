@@ -9,10 +9,10 @@ without drift explains the differences as well, nothing moves.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.backend.chain_reduction import ReducedGraph, expand
 from vo.engine.backend.graph_problem import Edges

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import skew
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.engine.backend.chain_motion import FIXED_LOG_SCALE, USUAL, ChainMotions
 from vo.engine.backend.sparse_blocks import Couplings

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from vo.base.errors import ConfigError, SourceError
 from vo.base.frozen import frozen
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.metric_scale import ScaleSource
 from vo.recordings.sources.source import FrameStream, Recording
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, make_transform, so3_exp, so3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Bools, Floats, Ints
 from vo.runs.scaling.wheel_odometry import WheelOdometry

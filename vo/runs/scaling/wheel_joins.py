@@ -7,11 +7,11 @@ pretended there, and bridged by the wheels.
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import adjoint, inverse, se3_exp
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.posed_frames import PosedFrames
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.geometry import sim3

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Ints
 from vo.tools.calibrating.projection import LensModel, Projection, project
 

@@ -7,11 +7,11 @@ odometry", 2017.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import so3_exp
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.geometry.so3 import exp_rows
 

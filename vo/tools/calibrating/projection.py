@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, DistortionModel, Floats
 
 

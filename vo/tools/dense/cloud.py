@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import compiled
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Floats32, Ints
 
 _BITS = 21  # of each coordinate of a cube in its key

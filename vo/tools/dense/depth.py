@@ -6,11 +6,12 @@ matching and mutual information", PAMI 2008), by OpenCV. A depth camera has meas
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats32
 from vo.tools.dense.keyframes import KeyframeImages
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from vo.base.errors import ConfigError, SourceError
 from vo.base.extras import require
 from vo.base.files.complete_file import complete_file, writing
 from vo.base.geometry.transforms import transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Floats32, Ints
 from vo.outputs.report.run_folder import RunRecord
 from vo.tools.dense import files

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import compiled
 from vo.base.geometry.transforms import make_transform
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Ints
 from vo.tools.dense.cloud import Cloud
 

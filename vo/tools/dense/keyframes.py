@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +16,6 @@ from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.rectification_maps import displaced_maps, wide_maps
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
 from vo.base.images.recorded_masks import read_masks
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Floats32, Frame, with_image0
 from vo.outputs.report.run_folder import RunRecord
 from vo.recordings.sources.source import Recording

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +13,6 @@ import numpy as np
 from vo.base.errors import OutputError
 from vo.base.files.complete_file import complete_file, writing
 from vo.base.geometry.rectification import RectifiedRig
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats
 from vo.outputs.recorders.colmap import is_own_model
 from vo.recordings.formats.colmap import ModelWriter

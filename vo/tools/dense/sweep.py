@@ -8,6 +8,7 @@ Their correlations are smoothed as in semi-global matching.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +16,6 @@ import numpy as np
 from vo.base.compiling.function import compiled
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Floats32
 from vo.tools.dense.depth import MAX_ERROR, DepthMap, even_depth
 

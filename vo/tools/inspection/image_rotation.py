@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.geometry.cameras import ideal_pixels
 from vo.base.geometry.transforms import skew, so3_exp, so3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats, Ints
 from vo.engine.frontend.optical_flow import follow
 from vo.engine.geometry.epipolar import find_essential, recover_motion

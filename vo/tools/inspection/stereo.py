@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -11,7 +12,6 @@ import numpy as np
 from vo.base.errors import CalibrationError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.vertical_disparity_model import VerticalDisparityFit
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.calibration_errors import RightCameraError
 from vo.base.types import Bytes, Floats, Ints, Rig
 from vo.engine.frontend.pair_check import TURNS, disparity_signs

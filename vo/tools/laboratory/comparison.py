@@ -5,13 +5,13 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import EvaluationError, SourceError
 from vo.base.geometry.rectification import RectifiedRig, rectified_rig
 from vo.base.geometry.transforms import inverse, rotation_angle
-from vo.base.named_tuple import NamedTuple
 from vo.base.scheduling import one_opencv_thread
 from vo.base.types import Bools, Bytes, Camera, Floats, Floats32, Frame, Ints, Rig, Trajectory
 from vo.engine.geometry import epipolar

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import ConfigError, SourceError
 from vo.base.files.bounded_files import read_text
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Frame
 from vo.recordings.sources.listing import IMAGE_SUFFIXES
 from vo.recordings.sources.registry import open_source

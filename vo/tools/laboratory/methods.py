@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Protocol, get_args
+from typing import NamedTuple, Protocol, get_args
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from vo.base.config import (
 )
 from vo.base.errors import ConfigError
 from vo.base.feature_settings import OWN_NETWORK
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Keypoints
 from vo.engine.features.detections import Detections, Detector
 from vo.engine.features.detectors import CORNER_SIZE_PX, DETECTORS, available_detectors

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.config import load_config
 from vo.base.errors import SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats, Ints
 from vo.engine.features.extractor import make_extractor
 from vo.engine.places.vocabulary import Bag, Vocabulary, similarity

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.scheduling import one_opencv_thread
 from vo.base.types import Bools, Bytes, Floats, Floats32, Ints
 from vo.tools.laboratory.images import PlanePair, read_homography, read_image

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vo.base.errors import ConfigError, OutputError
 from vo.base.geometry.transforms import quat_xyzw_from_rotation, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Floats
 from vo.engine.geometry import sim3
 from vo.engine.maps.map_file import MapFile

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from vo.base.errors import ConfigError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats
 from vo.engine.markers.dictionaries import marker_count
 from vo.engine.markers.marker_problem import square_points

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera
 from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.image_markers import DetectedMarker, PlanePose

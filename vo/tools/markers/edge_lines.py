@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from vo.base.geometry.cameras import distort, normalise
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Camera, Floats
 
 _MARGIN = 0.12  # of a side, at both ends, where blur mixes it with the next side

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.similarity import umeyama
 from vo.base.geometry.transforms import make_transform, rotation_angle, skew, so3_exp, so3_log
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 from vo.engine.markers.marker_problem import square_points
 from vo.tools.markers.marker_map import KnownMarker

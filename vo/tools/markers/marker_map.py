@@ -10,7 +10,7 @@ import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from vo.base.files.bounded_files import read_text
 from vo.base.files.bounded_json import load_json
 from vo.base.files.bounded_yaml import load_yaml
 from vo.base.geometry.transforms import make_transform, rotation_from_quat_xyzw
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.markers.dictionaries import AUTO, dictionary_name, marker_count
 from vo.engine.markers.marker_problem import square_points

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats
 from vo.engine.markers.marker_problem import MarkerProblem, MarkerView
 from vo.tools.markers.scale_fit import ScaleFit, fit_scale

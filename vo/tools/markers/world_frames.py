@@ -6,12 +6,12 @@ import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.files.complete_file import writing
 from vo.base.geometry.transforms import inverse, quat_xyzw_from_rotation
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.metric_scale import MetricScale, WorldFrame
 from vo.base.types import Floats
 from vo.tools.markers.map_fit import register_in_map

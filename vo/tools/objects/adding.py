@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.errors import InputError
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import printable
 from vo.base.types import Bytes, Floats, Floats32
 from vo.engine.frontend.contracts import FeatureExtractor

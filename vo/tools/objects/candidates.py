@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats, Floats32, Ints
 from vo.engine.frontend.hamming_kernels import hamming
 from vo.tools.objects.agreement import largest_agreements, moves

@@ -11,7 +11,7 @@ import json
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from vo.base.errors import OutputError, SourceError
 from vo.base.files.bounded_files import read_bytes
 from vo.base.files.bounded_json import load_json
 from vo.base.files.complete_file import complete_file
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Floats32
 from vo.tools.objects.stored_objects import Part, Solid, StoredObject
 

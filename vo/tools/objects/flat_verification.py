@@ -7,13 +7,12 @@ RANSAC).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.compiling.function import NO_REFCOUNT, compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Floats, Floats32, Ints
 from vo.engine.geometry.epipolar import transferred
 from vo.tools.objects.appearance import likeness

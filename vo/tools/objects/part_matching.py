@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from vo.base.compiling.function import compiled
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Floats32, Ints
 from vo.tools.objects.agreement import best_agreement, moves
 from vo.tools.objects.scene_features import SceneFeatures, unit_vectors

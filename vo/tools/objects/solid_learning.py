@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import InputError
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Descriptors, Floats, Floats32, Ints, with_image0
 from vo.engine.frontend.contracts import FeatureExtractor
 from vo.engine.geometry.epipolar import fundamental_from_motion

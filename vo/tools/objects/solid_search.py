@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.geometry.projection import Intrinsics, PixelObservations
 from vo.base.geometry.transforms import make_transform, transform_points
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Camera, Floats, Floats32, Ints
 from vo.engine.geometry.pnp import PoseFit, refine_pose
 from vo.tools.objects.flat_verification import first_of_each_place, near

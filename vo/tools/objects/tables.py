@@ -5,12 +5,11 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vo.base.geometry.transforms import quat_xyzw_from_rotation
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import spreadsheet_row
 from vo.tools.objects.stored_objects import FoundObject, StoredObject
 from vo.tools.objects.tracks import Track

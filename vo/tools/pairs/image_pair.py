@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from vo.base.config import Config
 from vo.base.geometry.cameras import ideal_pixels
 from vo.base.geometry.transforms import rotation_angle
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Bytes, Camera, Floats, Ints, Keypoints
 from vo.engine.features.extractor import make_extractor
 from vo.engine.features.matching import grid_motion_consistent, make_matcher, method_of

@@ -6,10 +6,10 @@ import logging
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.errors import ConfigError, SourceError
 from vo.base.files.bounded_files import read_text
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.sources.listing import list_images
 from vo.recordings.sources.single_image import read_single_image
 from vo.tools.pairs.image_pair import ImageFeatures, PairMatcher, PairOptions

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from vo.base.geometry.transforms import make_transform
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 from vo.engine.geometry import epipolar
 from vo.engine.geometry.triangulation import in_front, triangulate

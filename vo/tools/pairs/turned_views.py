@@ -7,13 +7,12 @@ frames of a recording do, hardly show it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.errors import InputError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats
 from vo.tools.pairs.image_pair import PairMatcher, PairOptions
 

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats, Ints
 from vo.engine.geometry import epipolar
 from vo.tools.pairs.sampson import line_errors, point_errors

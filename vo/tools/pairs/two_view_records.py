@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum, StrEnum
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bools, Floats
 
 RobustMethod = Literal[

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,7 +13,6 @@ import numpy as np
 from vo.base.errors import ConfigError, SourceError
 from vo.base.failures import describe
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.records.snapshot import FeatureState, View
 from vo.base.types import Bytes, Estimate, Floats, Landmarks, Rig, State, Trajectory
 from vo.outputs.evaluation.plots import axes_from_above

@@ -6,13 +6,13 @@ import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from vo.base.errors import ConfigError, OutputError, SourceError
 from vo.base.geometry.transforms import inverse, make_transform, rotation_from_quat_xyzw
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Camera, Floats, with_image0
 from vo.outputs.report.run_folder import RunRecord, read_run
 from vo.recordings.formats.mesh import Mesh, read_mesh

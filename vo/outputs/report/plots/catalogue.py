@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from vo.base.named_tuple import NamedTuple
 from vo.outputs.report.entry import Entry
 from vo.outputs.report.plots import errors, paths, style, tracking
 from vo.outputs.report.shown_paths import shown_paths

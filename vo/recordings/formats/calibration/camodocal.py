@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import astuple, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
 from vo.base.geometry.transforms import inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, Floats, ImuNoise, Rig
 from vo.recordings.formats.calibration.checks import (
     given_size,

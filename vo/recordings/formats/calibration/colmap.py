@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import logging
 import re
+from typing import NamedTuple
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration.checks import make_camera
 from vo.recordings.formats.calibration.document import Calibration, Document, ImageSize

@@ -6,12 +6,11 @@ Names are compared in lower case, without underscores and other punctuation.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vo.base.errors import CalibrationError
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.calibration.document import ImageSize
 from vo.recordings.formats.calibration.numbers import is_list, make_list, make_matrix, make_number
 

@@ -10,12 +10,11 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from vo.base.errors import CalibrationError, SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, Floats, Rig
 from vo.recordings.formats.calibration.checks import make_camera
 from vo.recordings.formats.calibration.document import (

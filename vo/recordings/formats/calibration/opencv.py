@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from vo.base.errors import CalibrationError
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Camera, Rig
 from vo.recordings.formats.calibration import keys
 from vo.recordings.formats.calibration.checks import (

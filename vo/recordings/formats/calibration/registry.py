@@ -7,10 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from vo.base.errors import CalibrationError
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.calibration.document import (
     Calibration,
     Document,

@@ -8,9 +8,9 @@ from __future__ import annotations
 import logging
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from vo.base.errors import SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.codecs import find_codec
 from vo.recordings.formats.messages import HEAD_BYTES, Codec
 from vo.recordings.sources.bags.ros1_records import (

@@ -8,12 +8,11 @@ import tempfile
 import weakref
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from vo.base.errors import SourceError
 from vo.base.files.bounded_files import lfs_pointer_message, read_text
 from vo.base.files.bounded_yaml import load_yaml
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.decompression import copy_decompressed
 from vo.recordings.sources.bags.sqlite_file import SqliteFile
 from vo.recordings.sources.listing import natural_key

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
-from vo.base.named_tuple import NamedTuple
 from vo.base.types import Bytes, Rig
 from vo.recordings.sources.images import Pixels
 

@@ -8,9 +8,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.messages import Codec
 
 NS_PER_S = 1_000_000_000

@@ -6,12 +6,12 @@ import logging
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from vo.base.errors import SourceError, VoError
 from vo.base.geometry.transforms import interpolate, inverse
-from vo.base.named_tuple import NamedTuple
 from vo.base.printable import counted
 from vo.base.types import Floats, Trajectory
 from vo.recordings.formats.calibration import Calibration

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
-from typing import Protocol, TypeVar, cast
+from typing import NamedTuple, Protocol, TypeVar, cast
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -25,7 +25,6 @@ from mcap.records import (
 )
 
 from vo.base.errors import SourceError
-from vo.base.named_tuple import NamedTuple
 from vo.recordings.formats.codecs import find_codec
 from vo.recordings.formats.decompression import size_limit
 from vo.recordings.formats.messages import HEAD_BYTES, Codec
