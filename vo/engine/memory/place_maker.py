@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from vo.base.geometry.transforms import inverse, transform_points
@@ -14,9 +13,9 @@ from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.mapping.local_map import LocalMap
 from vo.engine.places.patch_sampling import sampled_patches
 from vo.engine.places.records import PathKeyframe, Place, PlaceKey, PlaceLandmarks
+from vo.engine.places.thumbnails import thumbnail_of
 from vo.engine.places.vocabulary import DESCRIPTOR_BYTES
 
-_THUMBNAIL_HEIGHT = 120  # of images by which places are compared
 _MAX_KNOWN = 0.7  # of the landmarks in the last place, so that a keyframe makes another one
 _FIRST = 10  # keyframes of a segment, or after a doubted motion, that all make places
 
@@ -98,9 +97,6 @@ class PlaceMaker:
         keypoints, landmarks = self._of_one_kind(keyframe, landmarks, image, order)
         xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
         distance = np.maximum(np.linalg.norm(xyz, axis=1), 1e-9)
-        height, width = image.shape
-        thumbnail_height = min(_THUMBNAIL_HEIGHT, height)
-        thumbnail_width = max(1, round(width * thumbnail_height / height))
         return Place(
             **vars(of_path),
             descriptor=keypoints.descriptor,
@@ -116,9 +112,7 @@ class PlaceMaker:
                     image, keyframe.image_xy[order], landmarks.octave, self._scale_factor
                 ),
             ),
-            thumbnail=cv2.resize(
-                image, (thumbnail_width, thumbnail_height), interpolation=cv2.INTER_AREA
-            ),
+            thumbnail=thumbnail_of(image),
         )
 
     def _of_one_kind(
