@@ -203,8 +203,9 @@ def test_landmarks_and_keyframes_dropped_since_do_not_matter() -> None:
     window = _submitted(scene, config)
     scene.map.keep_landmarks(np.arange(len(scene.map)) % 3 > 0)
     newest = scene.map.keyframes[-1]
-    scene.map.set_reference(scene.map.keyframes[1], np.ones(len(scene.map), dtype=bool))
-    scene.map.set_reference(newest, np.ones(len(scene.map), dtype=bool))
+    for keyframe in (scene.map.keyframes[1], newest):
+        rows = scene.map.rows(keyframe.landmark)
+        scene.map.set_reference(keyframe, np.arange(len(rows)), rows)
     _add_keyframe(scene.map, KEYFRAMES, newest.world_from_cam)  # in place of the oldest
     _apply(window)
     assert [k.id for k in scene.map.keyframes] == list(range(1, KEYFRAMES + 1))

@@ -7,6 +7,7 @@ import pytest
 
 from vo.base.geometry.projection import Intrinsics, PixelObservations
 from vo.base.geometry.transforms import make_transform
+from vo.base.types import Floats
 from vo.engine.geometry.point_uncertainty import position_sigma
 from vo.engine.geometry.points import best_points, point_views
 
@@ -46,7 +47,9 @@ def test_standard_deviation_is_that_of_many_noisy_trials(stereo: bool) -> None:
         centres,
         point,
         camera,
-        observed,
+        observed.disparity,
+        observed.sigma_px,
+        SIGMA_DISPARITY,
         FOCAL,
         focal_baseline,
     )
@@ -55,8 +58,19 @@ def test_standard_deviation_is_that_of_many_noisy_trials(stereo: bool) -> None:
 
 def test_one_ray_determines_no_depth() -> None:
     one = np.zeros(1, dtype=np.int64)
-    mono = PixelObservations(np.zeros((1, 2)), np.array([np.nan]), np.ones(1), 1.0)
-    stereo = mono._replace(disparity=np.ones(1))
+    unknown, known, sigma_px = np.array([np.nan]), np.ones(1), np.ones(1)
     arguments = (np.ones((1, 3)), np.zeros((1, 3)), one, one)
-    assert np.isinf(position_sigma(*arguments, mono, FOCAL, 0.0)).all()
-    assert np.isfinite(position_sigma(*arguments, stereo, FOCAL, 50.0)).all()
+    assert np.isinf(position_sigma(*arguments, unknown, sigma_px, 1.0, FOCAL, 0.0)).all()
+    assert np.isfinite(position_sigma(*arguments, known, sigma_px, 1.0, FOCAL, 50.0)).all()
+
+
+def test_observations_of_other_points_do_not_count() -> None:
+    point, camera = np.array([0, -1, 0]), np.array([0, 1, 1])
+    centres, disparity = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), np.array([3.0, 9.0, 2.0])
+
+    def sigma(used: list[int]) -> Floats:
+        observed = point[used], camera[used], disparity[used], np.ones(len(used))
+        at = np.array([[0.0, 0.0, 5.0]])
+        return position_sigma(at, centres, *observed, SIGMA_DISPARITY, FOCAL, 50.0)
+
+    assert sigma([0, 1, 2]) == sigma([0, 2]) < sigma([0])

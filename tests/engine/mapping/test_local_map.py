@@ -150,7 +150,7 @@ def test_setting_a_reference_changes_only_chosen_landmarks_that_are_observed() -
     ids = _landmarks(local_map, _keyframe(local_map, 0), 4)
     second = _keyframe(local_map, 1)
     _observe(second, ids[1:])
-    local_map.set_reference(second, np.array([True, True, False, True]))
+    local_map.set_reference(second, observed=np.array([0, 2]), rows=np.array([1, 3]))
     assert local_map.reference.tolist() == [0, 1, 0, 1]
     np.testing.assert_array_equal(local_map.reference_xy[[1, 3]], [[1.0, 100.0], [3.0, 100.0]])
 
@@ -212,7 +212,9 @@ def test_map_stays_consistent_whatever_happens(operations: list[tuple[str, int]]
             elif name == "drop":
                 local_map.keep_landmarks(chosen)
             elif name == "take":
-                local_map.set_reference(keyframe, chosen)
+                rows = local_map.rows(keyframe.landmark)
+                observed = np.flatnonzero(chosen[rows])
+                local_map.set_reference(keyframe, observed, rows[observed])
         _check(local_map)
 
 

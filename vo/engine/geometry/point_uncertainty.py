@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from vo.base.compiling.function import compiled
-from vo.base.geometry.projection import PixelObservations
 from vo.base.types import Floats, Ints
 
 
@@ -14,14 +13,17 @@ def position_sigma(
     centres: Floats,
     point: Ints,
     camera: Ints,
-    observed: PixelObservations,
+    disparity: Floats,
+    sigma_px: Floats,
+    sigma_disparity_px: float,
     focal_px: float,
     focal_baseline: float,
 ) -> Floats:
     """Standard deviation (M,) of points in metres: the root of the trace of their covariance.
 
-    N observations by rows of points (M, 3) and of camera centres (K, 3) in the world, taken to be
-    near the principal point; `focal_baseline` is in px m, 0 in mono.
+    N observations by rows of points (M, 3), -1 for none of them, and of camera centres (K, 3) in
+    the world, taken to be near the principal point; disparities (N,) are NaN where there are none;
+    `focal_baseline` is in px m, 0 in mono.
 
     Returns:
         (M,); infinite where the observations do not determine the depth.
@@ -32,9 +34,9 @@ def position_sigma(
             np.ascontiguousarray(centres),
             point,
             camera,
-            observed.disparity,
-            observed.sigma_px,
-            observed.sigma_disparity_px,
+            disparity,
+            sigma_px,
+            sigma_disparity_px,
             focal_px,
             focal_baseline,
         )
@@ -49,6 +51,8 @@ def _position_sigma(  # type: ignore[no-untyped-def]
     # sum for each point is stored as xx, yy, zz, xy, xz, yz.
     information = np.zeros((len(points), 6))
     for n in range(len(point)):
+        if point[n] < 0:
+            continue
         at, centre = points[point[n]], centres[camera[n]]
         x, y, z = at[0] - centre[0], at[1] - centre[1], at[2] - centre[2]
         squared = max(x * x + y * y + z * z, 1e-18)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vo.base.geometry.projection import PixelObservations
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.geometry.transforms import inverse
 from vo.base.geometry.vertical_disparity_model import VerticalDisparity
@@ -234,12 +233,10 @@ class LocalMap:
         slots = np.array([k.slot for k in self.keyframes], dtype=np.int64)
         return slots[self.reference - self.keyframes[0].id]
 
-    def set_reference(self, keyframe: Keyframe, mask: Bools) -> None:
-        """Take the reference patches of landmarks (M,) from a keyframe where it observes them."""
-        rows = self.rows(keyframe.landmark)
-        chosen = (rows >= 0) & mask[rows]
-        self.reference[rows[chosen]] = keyframe.id
-        self.reference_xy[rows[chosen]] = keyframe.image_xy[chosen]
+    def set_reference(self, keyframe: Keyframe, observed: Ints, rows: Ints) -> None:
+        """Take the patches of landmarks (n,), by row, from observations (n,) of a keyframe."""
+        self.reference[rows] = keyframe.id
+        self.reference_xy[rows] = keyframe.image_xy[observed]
 
     def clear_corrected(self) -> None:
         """Remove all keyframes and landmarks, and all corrections of the calibration."""
@@ -327,26 +324,23 @@ class LocalMap:
     def _hand_over(self, keyframe: Keyframe, stores: Sequence[KeyframeStore]) -> None:
         if keyframe.id % self._views:
             return
+        landmarks = cache(partial(self.landmarks_of, keyframe))
         for store in stores:
-            store.add(keyframe, partial(self.landmarks_of, keyframe), self.images[keyframe.slot])
+            store.add(keyframe, landmarks, self.images[keyframe.slot])
 
     def position_sigma(self, chosen: Ints) -> Floats:
         """Standard deviation (n,) of the positions of landmarks (n,), given exact poses."""
         place = np.full(len(self), -1)
         place[chosen] = np.arange(len(chosen))
         number, row = self.observation_rows()
-        used = np.flatnonzero(place[row] >= 0)
         return position_sigma(
             self.xyz[chosen],
             np.stack([k.world_from_cam[:3, 3] for k in self.keyframes]),
-            place[row[used]],
-            number[used],
-            PixelObservations(
-                np.concatenate([k.xy for k in self.keyframes])[used],
-                np.concatenate([k.disparity for k in self.keyframes])[used],
-                np.concatenate([k.sigma_px for k in self.keyframes])[used],
-                self._sigma_disparity_px,
-            ),
+            place[row],
+            number,
+            np.concatenate([k.disparity for k in self.keyframes]),
+            np.concatenate([k.sigma_px for k in self.keyframes]),
+            self._sigma_disparity_px,
             self.rig.fx,
             self.rig.fx * self.rig.baseline_m,
         )

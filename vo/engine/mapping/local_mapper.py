@@ -91,18 +91,18 @@ class LocalMapper:
         keyframe = self.add_keyframe_at(frame, tracked.world_from_cam, segment, free)
         is_alone = frame.right is not None and tracked.lacks_disparities
         keyframe.is_doubted = is_alone or tracked.is_hardly_confirmed or tracked.is_contradicted
-        kept = tracked.inlier & (self._map.rows(tracked.ids) >= 0)
-        ids = tracked.ids[kept]
+        rows = self._map.rows(tracked.ids)
+        kept = np.flatnonzero(tracked.inlier & (rows >= 0))
+        rows = rows[kept]
         keyframe.add_observations(
             NewObservations(
-                ids,
+                tracked.ids[kept],
                 observed.xy[kept],
                 observed.image_xy[kept],
                 observed.disparity[kept],
                 observed.sigma_px[kept],
             )
         )
-        rows = self._map.rows(ids)
         if tracked.velocity is not None:
             keyframe.velocity = tracked.velocity
             keyframe.undistort(self._map.rig, self._map.inverse_depth(keyframe))
@@ -153,13 +153,12 @@ class LocalMapper:
     ) -> None:
         """Take patches from this keyframe where they differ too much from the old ones."""
         local_map = self._map
-        changed = np.abs(np.log(scale)) > np.log(_MAX_PATCH_SCALE)
-        changed |= score < _MIN_PATCH_SCORE
+        is_changed = np.abs(np.log(scale)) > np.log(_MAX_PATCH_SCALE)
+        changed = np.flatnonzero(is_changed | (score < _MIN_PATCH_SCORE))
+        rows, scale = rows[changed], scale[changed]
         octave = predicted_octave(local_map.octave[rows], scale, self._scale_factor)
-        local_map.octave[rows[changed]] = octave[changed]
-        mask = np.zeros(len(local_map), dtype=bool)
-        mask[rows[changed]] = True
-        local_map.set_reference(keyframe, mask)
+        local_map.octave[rows] = octave
+        local_map.set_reference(keyframe, changed, rows)
 
     def _observe_in_earlier(self, keyframe: Keyframe) -> None:
         """Find the newest landmarks in earlier keyframes, which do not observe them yet."""

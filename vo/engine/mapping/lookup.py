@@ -7,37 +7,39 @@ import numpy as np
 from vo.base.compiling.function import compiled
 from vo.base.types import Ints
 
+_MAX_SPAN = 20  # of known ids for a table of them all, times the number of ids
+
 
 def rows_of(ids: Ints, known: Ints) -> Ints:
-    """Rows (n,) of ids (n,) among increasing known ids (m,); -1 for unknown ids.
-
-    Galloping search: fast where the ids increase too, as in most observations of a keyframe.
-    """
+    """Rows (n,) of ids (n,) among increasing known ids (m,); -1 for unknown ids."""
     return np.asarray(_rows_of(np.ascontiguousarray(ids), known))
 
 
 @compiled
 def _rows_of(ids, known):  # type: ignore[no-untyped-def]
+    """By a table, unless the known ids are too far apart; steps of a search are mispredicted."""
     rows = np.full(len(ids), -1)
     if len(known) == 0:
         return rows
-    row = 0
+    first, span = known[0], known[-1] - known[0] + 1
+    is_dense = span <= _MAX_SPAN * (len(ids) + len(known))
+    place = np.full(span if is_dense else 0, -1)
+    if is_dense:
+        for m in range(len(known)):
+            place[known[m] - first] = m
     for n in range(len(ids)):
         wanted = ids[n]
-        low, high = row, row + 1
-        if wanted < known[row]:
-            low = 0
-        else:  # usually a few rows further: steps double
-            while high < len(known) and known[high] <= wanted:
-                low, high = high, high + 2 * (high - low)
-            high = min(high, len(known))
+        if is_dense:
+            if first <= wanted < first + span:
+                rows[n] = place[wanted - first]
+            continue
+        low, high = 0, len(known)
         while high - low > 1:
             middle = (low + high) // 2
             if known[middle] <= wanted:
                 low = middle
             else:
                 high = middle
-        row = low
-        if known[row] == wanted:
-            rows[n] = row
+        if known[low] == wanted:
+            rows[n] = low
     return rows
