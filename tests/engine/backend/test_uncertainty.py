@@ -21,6 +21,7 @@ from vo.base.types import Floats
 from vo.engine.backend.covariance import propagated
 from vo.engine.backend.information import OF_PATCHES, ErrorModel, pose_information
 from vo.engine.backend.linearisation import linearise
+from vo.engine.backend.residuals import residuals
 from vo.engine.backend.solution import WindowSolution, solve
 
 KINDS = [pytest.param(False, 2, id="mono"), pytest.param(True, 1, id="stereo")]
@@ -43,9 +44,9 @@ def _disturbed(window: Window, model: ErrorModel, rng: np.random.Generator) -> W
 
 
 def _covariance(window: Window, solution: WindowSolution, model: ErrorModel) -> Floats:
-    linear = linearise(
-        window.problem, solution.world_from_cam, solution.points, solution.point_ok, CONFIG
-    )
+    path = solution.world_from_cam, solution.points
+    at = residuals(window.problem, *path)
+    linear = linearise(window.problem, *path, solution.point_ok, CONFIG, at)
     information = pose_information(linear, 1.0, model)
     return blocks(propagated(information, solution.held, np.zeros_like(information)))
 

@@ -18,7 +18,7 @@ from vo.base.config import SmoothingConfig
 from vo.base.geometry.transforms import inverse, se3_log, whole_transforms
 from vo.base.types import Bools, Floats
 from vo.engine.backend.bundle import Bundle
-from vo.engine.backend.residuals import residuals, with_measured_noise
+from vo.engine.backend.residuals import Residuals, residuals, with_measured_noise
 from vo.engine.backend.window_problem import Gauge, WindowProblem, gauge_of
 from vo.engine.geometry.levenberg_marquardt import Law, dense_steps, minimise
 from vo.engine.geometry.so3 import exp_rows
@@ -28,24 +28,29 @@ class AdjustedWindow(NamedTuple):
     """Result for a window of K poses and M points.
 
     Attributes:
+        gauge: with the poses that were held.
         point_ok: (M,) False for points with one observation, or behind a camera at the end.
         information: (6 K, 6 K) of the further factors on the poses, None without any.
+        residuals: of the problem.
     """
 
+    gauge: Gauge
     world_from_cam: Floats
     points: Floats
     point_ok: Bools
     states: dict[int, Floats]
     information: Floats | None
+    residuals: Residuals
 
 
 def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWindow | None:
     """Optimise a window; None where no landmark constrains its poses."""
-    point_ok = well_observed(problem)
+    start = residuals(problem, problem.world_from_cam, problem.points)
+    point_ok = well_observed(problem, start.depth)
     gauge = gauge_of(problem)
     if gauge.held.all() or not point_ok[problem.point].any():
         return None
-    weighted = replace(with_measured_noise(problem), fixed=gauge.held)
+    weighted = replace(with_measured_noise(problem, start), fixed=gauge.held)
     bundle = Bundle(weighted, point_ok, config)
     states: dict[int, Floats] = {}
     information = None
@@ -61,9 +66,9 @@ def adjust_window(problem: WindowProblem, config: SmoothingConfig) -> AdjustedWi
     points = bundle.points_for(world_from_cam)
     if not (np.isfinite(world_from_cam).all() and np.isfinite(points[point_ok]).all()):
         return None
-    _, depth = residuals(problem, world_from_cam, points)
-    point_ok[problem.point[~(depth > 0)]] = False
-    return AdjustedWindow(world_from_cam, points, point_ok, states, information)
+    remaining = residuals(problem, world_from_cam, points)
+    point_ok[problem.point[~(remaining.depth > 0)]] = False
+    return AdjustedWindow(gauge, world_from_cam, points, point_ok, states, information, remaining)
 
 
 class _Window:
@@ -108,9 +113,8 @@ class _Window:
         return se3_log(inverse(self._start[self._scaled]) @ state[self._scaled])
 
 
-def well_observed(problem: WindowProblem) -> Bools:
-    """(M,) points observed by at least two keyframes, and in front of all of them."""
-    _, depth = residuals(problem, problem.world_from_cam, problem.points)
+def well_observed(problem: WindowProblem, depth: Floats) -> Bools:
+    """(M,) points observed by at least two keyframes, in front of all of them at depths (N,)."""
     count = np.bincount(problem.point, minlength=len(problem.points))
     ok: Bools = (count >= 2) & np.isfinite(problem.points).all(axis=1)
     ok[problem.point[~(depth > 0)]] = False

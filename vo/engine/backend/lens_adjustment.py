@@ -127,7 +127,7 @@ def adjust_lens(
         variables = _Variables(sigma, plain if number == 0 else config, columns)
         at, _ = minimise(variables, variables.at(at), _LAW)
     problem = _problem(at, np.ones(len(sigma)))
-    found, depth = residuals(problem, at.views.world_from_cam, at.views.points)
+    found, _, depth = residuals(problem, at.views.world_from_cam, at.views.points)
     observed = views_of(_problem(at, sigma), _all_ok(at.views), config)
     hessian, _ = _chosen(_normal_equations(at, observed), columns)
     column = columns.index(_LOG_FOCAL) - len(columns)

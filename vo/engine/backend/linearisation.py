@@ -16,7 +16,7 @@ from vo.base.geometry.projection import (
     point_derivatives,
 )
 from vo.base.types import Bools, Floats, Ints
-from vo.engine.backend.residuals import residuals
+from vo.engine.backend.residuals import Residuals
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.geometry.points import by_points
 
@@ -51,12 +51,14 @@ def linearise(
     points: Floats,
     point_ok: Bools,
     config: SmoothingConfig,
+    at: Residuals,
 ) -> Linearised:
     """Linearise a window at poses (K, 4, 4) and points (M, 3), with Huber weights.
 
     Observations of points (M,) that are not ok, or are behind the camera, are left out.
+    `at`: the residuals there.
     """
-    residual, depth = residuals(problem, world_from_cam, points)
+    residual, _, depth = at
     used = np.flatnonzero(point_ok[problem.point] & (depth > 0) & np.isfinite(residual))
     if (problem.keyframe[1:] < problem.keyframe[:-1]).any():
         used = used[np.argsort(problem.keyframe[used], kind="stable")]
@@ -72,7 +74,8 @@ def linearise(
         problem.disparity,
         problem.sigma_px,
         problem.sigma_disparity_px,
-        np.sqrt(config.huber / np.maximum(residual, config.huber)),
+        residual,
+        config.huber,
         problem.intrinsics,
         problem.intrinsics[0] * problem.baseline_m,
     )
@@ -83,7 +86,19 @@ def linearise(
 
 @compiled(fastmath={"contract"})
 def _linearised(  # type: ignore[no-untyped-def]
-    poses, points, order, keyframe, point, xy, disparity, sigma, sigma_d, weight, intrinsics, fb
+    poses,
+    points,
+    order,
+    keyframe,
+    point,
+    xy,
+    disparity,
+    sigma,
+    sigma_d,
+    residual,
+    huber,
+    intrinsics,
+    fb,
 ):
     """`by_pose`, `by_point`, `error` of the observations in `order`; poses are world_from_cam."""
     count = len(order)
@@ -94,9 +109,10 @@ def _linearised(  # type: ignore[no-untyped-def]
         j, m = keyframe[i], point[i]
         pose = poses[j]
         x, y, z = from_world(pose, points[m, 0], points[m, 1], points[m, 2])
-        s, near = weight[i] / sigma[i], 1.0 / z  # the only division
+        weight = np.sqrt(huber / max(residual[i], huber))
+        s, near = weight / sigma[i], 1.0 / z
         measured = fb > 0.0 and not np.isnan(disparity[i])
-        t = weight[i] / sigma_d if measured else 0.0
+        t = weight / sigma_d if measured else 0.0
         u, v = pixel(intrinsics, x, y, near)
         error[n, 0], error[n, 1] = s * (u - xy[i, 0]), s * (v - xy[i, 1])
         error[n, 2] = t * (fb * near - disparity[i]) if measured else 0.0

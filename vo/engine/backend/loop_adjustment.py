@@ -164,7 +164,7 @@ def _ordered(
 
 def _usable(problem: WindowProblem) -> Bools:
     """(M,) points that two keyframes observe, none of them from behind."""
-    _, depth = residuals(problem, problem.world_from_cam, problem.points)
+    depth = residuals(problem, problem.world_from_cam, problem.points).depth
     usable = np.bincount(problem.point, minlength=len(problem.points)) >= 2
     usable[problem.point[~(depth > 0)]] = False
     return usable

@@ -76,7 +76,7 @@ def adjust_rig(problem: WindowProblem, ties: Ties, config: SmoothingConfig) -> A
     points = window.bundle.points_for(poses)
     if not (np.isfinite(poses).all() and np.isfinite(points[ok]).all()):
         return None
-    _, depth = residuals(problem, poses, points)
+    depth = residuals(problem, poses, points).depth
     ok[problem.point[~(depth > 0)]] = False
     return AdjustedRig(poses, held, points, ok, state.metre, ties, window.gauge)
 
@@ -92,12 +92,13 @@ class _RigWindow:
         self.held = problem.fixed[:: ties.views].copy()
         if not self.held.any():
             self.held[0] = True
-        self.point_ok = well_observed(problem)
+        start = residuals(problem, problem.world_from_cam, problem.points)
+        self.point_ok = well_observed(problem, start.depth)
         self._free = np.flatnonzero(~self.held)
         # A metre of another length moves the views of held bodies too.
         moves = np.ones(len(self.held), bool) if ties.lever is not None else ~self.held
         fixed = ~np.repeat(moves, ties.views)
-        weighted = replace(with_measured_noise(problem), fixed=fixed)
+        weighted = replace(with_measured_noise(problem, start), fixed=fixed)
         self.bundle = Bundle(weighted, self.point_ok, config)
         moving = np.flatnonzero(np.repeat(moves, ties.views))
         self._of_body = adjoint(inverse(ties.body_from_view[moving]))

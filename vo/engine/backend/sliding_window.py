@@ -227,7 +227,7 @@ class SlidingWindow:
 
         Keyframes newer than `newest` have not been optimised and are not judged yet.
         """
-        residual, _ = residuals(whole, whole.world_from_cam, self._map.xyz)
+        residual = residuals(whole, whole.world_from_cam, self._map.xyz).length
         judged = whole.keyframe <= newest.id - self._map.keyframes[0].id
         removed = degenerate[whole.point] | (judged & ~(residual <= self._config.gate))
         begin = 0

@@ -17,7 +17,7 @@ from vo.engine.backend.calibration_residual import estimate_calibration_residual
 from vo.engine.backend.information import MIN_OBSERVATIONS, information_blocks, pose_information
 from vo.engine.backend.linearisation import linearise
 from vo.engine.backend.path_equations import Levels
-from vo.engine.backend.residuals import residuals
+from vo.engine.backend.residuals import Residuals, residuals
 from vo.engine.backend.window_problem import Ties, WindowProblem, gauge_of
 
 if TYPE_CHECKING:  # only rigs need it
@@ -67,7 +67,7 @@ def solve(problem: WindowProblem, config: SmoothingConfig) -> WindowSolution:
         return unsolved(problem)
     return WindowSolution(
         adjusted.world_from_cam,
-        gauge_of(problem).held,
+        adjusted.gauge.held,
         _information(problem, adjusted, config),
         adjusted.points,
         adjusted.point_ok,
@@ -102,11 +102,20 @@ def unsolved(problem: WindowProblem) -> WindowSolution:
 
 
 def information_by_images(
-    problem: WindowProblem, poses: Floats, points: Floats, ok: Bools, config: SmoothingConfig
+    problem: WindowProblem,
+    poses: Floats,
+    points: Floats,
+    ok: Bools,
+    config: SmoothingConfig,
+    at: Residuals | None = None,
 ) -> Floats:
-    """(6 K, 6 K) of the observations on all poses, with the noise that their residuals show."""
-    scale = _scale(problem, poses, points, ok, config)
-    return pose_information(linearise(problem, poses, points, ok, config), scale)
+    """(6 K, 6 K) of the observations on all poses, with the noise that their residuals show.
+
+    `at`: the residuals there, if they are known.
+    """
+    at = at or residuals(problem, poses, points)
+    linear = linearise(problem, poses, points, ok, config, at)
+    return pose_information(linear, _scale(at, ok[problem.point], config))
 
 
 def blocks_by_images(
@@ -120,21 +129,19 @@ def blocks_by_images(
     flat, seen = np.zeros(0), np.zeros(len(levels.order), np.int64)
     for first in range(0, len(ok), _LANDMARKS):  # Jacobians of all would need too much memory
         part = problem.point // _LANDMARKS == first // _LANDMARKS
-        linear = linearise(problem.select(np.flatnonzero(part)), *path, ok, config)
+        chosen = problem.select(np.flatnonzero(part))
+        linear = linearise(chosen, *path, ok, config, residuals(chosen, *path))
         seen += linear.seen
         blocks = information_blocks(linear, levels.row[:-1], levels.place)
         flat = flat + blocks if len(flat) else blocks
     if seen.min() < MIN_OBSERVATIONS:
         return None
-    return flat / _scale(problem, *path, ok, config)
+    return flat / _scale(residuals(problem, *path), ok[problem.point], config)
 
 
-def _scale(
-    problem: WindowProblem, poses: Floats, points: Floats, ok: Bools, config: SmoothingConfig
-) -> float:
-    """Of covariances, by the residuals."""
-    off, _ = residuals(problem, poses, points)
-    noise = max(median(off[ok[problem.point]]) / _USUAL_RESIDUAL, _LEAST_NOISE)
+def _scale(at: Residuals, used: Bools, config: SmoothingConfig) -> float:
+    """Of covariances, by the residuals that are used (N,)."""
+    noise = max(median(at.length[used]) / _USUAL_RESIDUAL, _LEAST_NOISE)
     return config.covariance_scale * noise**2
 
 
@@ -142,8 +149,8 @@ def _information(
     problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
 ) -> Floats:
     poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
-    information = information_by_images(problem, poses, points, ok, config)
-    _, scaled, sigmas = gauge_of(problem)
+    information = information_by_images(problem, poses, points, ok, config, adjusted.residuals)
+    _, scaled, sigmas = adjusted.gauge
     if scaled is not None:
         rows = np.arange(6 * scaled, 6 * scaled + 6)
         information[rows, rows] += sigmas**-2.0
