@@ -251,8 +251,11 @@ class Keypoints:
 
     def select(self, rows: Bools | Ints) -> Keypoints:
         """Some rows of the keypoints."""
-        chosen = self.xy[rows], self.octave[rows], self.angle[rows], self.response[rows]
-        return Keypoints(*chosen, self.descriptor[rows])
+        at = rows.nonzero()[0] if rows.dtype == np.bool_ else rows
+        xy, descriptor = self.xy.take(at, axis=0), self.descriptor.take(at, axis=0)
+        return Keypoints(
+            xy, self.octave.take(at), self.angle.take(at), self.response.take(at), descriptor
+        )
 
 
 class State(StrEnum):

@@ -56,19 +56,21 @@ def propagated(information: Floats, held: Bools, known: Floats) -> Floats:
     anchored = held & np.isfinite(np.diag(known)).reshape(-1, 6).all(axis=1)
     free = ~anchored & (np.diag(information).reshape(-1, 6) > 0).all(axis=1)
     h, f = np.flatnonzero(np.repeat(anchored, 6)), np.flatnonzero(np.repeat(free, 6))
-    of_held = known[np.ix_(h, h)]
-    result[np.ix_(h, h)] = of_held
+    of_held = known.take(h, 0).take(h, 1)
+    result[h[:, None], h] = of_held
+    of_free = information.take(f, 0)
+    own_information = of_free.take(f, 1)
     try:
-        np.linalg.cholesky(information[np.ix_(f, f)])
-        noise = np.linalg.inv(information[np.ix_(f, f)])
+        np.linalg.cholesky(own_information)
+        noise = np.linalg.inv(own_information)
     except np.linalg.LinAlgError:  # not positive definite: some pose is not determined
         return result
     if len(h) == 0:
         return result
-    gain = -noise @ information[np.ix_(f, h)]
+    gain = -noise @ of_free.take(h, 1)
     shared = gain @ of_held
     own = shared @ gain.T + noise
-    result[np.ix_(f, h)], result[np.ix_(h, f)] = shared, shared.T
+    result[f[:, None], h], result[h[:, None], f] = shared, shared.T
     # Rounding must not add up: an asymmetry would grow with every window.
-    result[np.ix_(f, f)] = 0.5 * (own + own.T)
+    result[f[:, None], f] = 0.5 * (own + own.T)
     return result

@@ -27,6 +27,13 @@ def median_of_nearest(xy: Floats, known_xy: Floats, known: Floats) -> Floats:
     )
 
 
+def distances(xy: Floats, other_xy: Floats) -> Floats:
+    """Distances (n,) of pixels (n, 2), in a third of the time of `np.linalg.norm`."""
+    off = xy - other_xy
+    off *= off
+    return np.asarray(np.sqrt(off[:, 0] + off[:, 1]))
+
+
 def far_from(xy: Floats | Floats32, taken_xy: Floats) -> Bools:
     """Mask (N,) of pixels without a taken pixel (M, 2) in their cell or in touching cells."""
     pixels = np.ascontiguousarray(xy, dtype=np.float64)

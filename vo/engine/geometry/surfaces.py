@@ -50,8 +50,10 @@ def surface_normals(
     fx, fy, cx, cy = intrinsics
     slope, at = inverse_depth_slopes(xy, 1.0 / depth, of), xy[of] - (cx, cy)
     # 1 / depth = n . (x, y, 1) on the plane n . X = 1.
-    ahead = 1.0 - np.sum(slope * at, axis=1)
-    in_cam = np.column_stack([slope * (fx, fy), ahead])
+    in_cam = np.empty((len(of), 3))
+    in_cam[:, :2] = slope * (fx, fy)
+    slope *= at
+    in_cam[:, 2] = 1.0 - (slope[:, 0] + slope[:, 1])
     return np.asarray(in_cam @ world_from_cam[:3, :3].T)
 
 
@@ -63,10 +65,10 @@ def left_from_right(disparity: Floats, slope: Floats) -> Floats:
         slope: (N, 2) relative gradient of inverse depth in the left image, equal to that of
             disparity, 1/px.
     """
-    stretch = 1.0 / np.clip(1.0 - disparity * slope[:, 0], 0.5, 2.0)
+    stretch = 1.0 / np.minimum(np.maximum(1.0 - disparity * slope[:, 0], 0.5), 2.0)
     back = np.zeros((len(disparity), 2, 2))
     back[:, 0, 0] = stretch
-    back[:, 0, 1] = np.clip(disparity * slope[:, 1], -1.5, 1.5) * stretch
+    back[:, 0, 1] = np.minimum(np.maximum(disparity * slope[:, 1], -1.5), 1.5) * stretch
     back[:, 1, 1] = 1.0
     return back
 

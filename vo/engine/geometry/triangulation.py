@@ -108,15 +108,9 @@ def triangulate_pixels(
     `min_parallax_ratio` of the angle by which the point has moved in the image; errors of
     reprojection must be below `max_error_px` in either view.
     """
-    fx, fy, cx, cy = intrinsics
-    focal, centre = np.array([fx, fy]), np.array([cx, cy])
-    xyz, angle = triangulate(
-        second_from_first, (xy_first - centre) / focal, (xy_second - centre) / focal
-    )
-    valid = _valid(
+    found = _triangulate_pixels(
         np.ascontiguousarray(second_from_first),
-        xyz,
-        angle,
+        -second_from_first[:3, :3].T @ second_from_first[:3, 3],
         np.ascontiguousarray(xy_first),
         np.ascontiguousarray(xy_second),
         intrinsics,
@@ -124,11 +118,32 @@ def triangulate_pixels(
         min_parallax_ratio,
         max_error_px,
     )
-    return TriangulatedPoints(xyz, valid, angle)
+    return TriangulatedPoints(*found)
 
 
 @compiled
-def _valid(motion, points, angle, first, second, intrinsics, min_rad, min_ratio, max_px):  # type: ignore[no-untyped-def]
+def _triangulate_pixels(  # type: ignore[no-untyped-def]
+    motion, centre, first, second, intrinsics, min_rad, min_ratio, max_px
+):
+    points, angle = _triangulate(
+        motion, centre, _rays(first, intrinsics), _rays(second, intrinsics)
+    )
+    limits = min_rad, min_ratio, max_px
+    return points, _valid(motion, points, angle, first, second, intrinsics, limits), angle
+
+
+@compiled
+def _rays(xy, intrinsics):  # type: ignore[no-untyped-def]
+    rays = np.empty_like(xy)
+    for n in range(len(xy)):
+        rays[n, 0] = (xy[n, 0] - intrinsics.cx) / intrinsics.fx
+        rays[n, 1] = (xy[n, 1] - intrinsics.cy) / intrinsics.fy
+    return rays
+
+
+@compiled
+def _valid(motion, points, angle, first, second, intrinsics, limits):  # type: ignore[no-untyped-def]
+    min_rad, min_ratio, max_px = limits
     valid = np.zeros(len(points), dtype=np.bool_)
     for n in range(len(points)):
         x, y, z = points[n]

@@ -116,7 +116,7 @@ class Keyframe:
 
     def keep_observations(self, mask: Bools) -> None:
         """Remove the observations outside of the mask (n,)."""
-        kept = np.flatnonzero(mask)  # taking rows is several times as fast as masking them
+        kept = mask.nonzero()[0]  # taking rows is several times as fast as masking them
         if len(kept) == len(mask):
             return
         for name in NewObservations._fields:

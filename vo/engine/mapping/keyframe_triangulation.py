@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from vo.engine.frontend.patch_alignment import Alignment, Patches, patches_of
 from vo.engine.frontend.preprocessing import PreprocessedFrame
 from vo.engine.geometry.epipolar import epipolar_segments
 from vo.engine.geometry.homographies import homographies
+from vo.engine.geometry.neighbours import distances
 from vo.engine.geometry.patch_prediction import predict_patches
 from vo.engine.geometry.rolling_shutter import at_middle_row, disparity_at_middle_row
 from vo.engine.geometry.surfaces import surface_normals
@@ -119,8 +119,7 @@ class Search(NamedTuple):
     turns: bool = False
 
 
-@frozen(eq=False)
-class _Pair:
+class _Pair(NamedTuple):
     """Matched features of two keyframes; rows of the arrays belong together.
 
     Attributes:
@@ -145,22 +144,22 @@ class _Pair:
     image_xy: Floats
     xy: Floats
 
-    def select(self, rows: Ints | Bools) -> _Pair:
+    def select(self, rows: Ints) -> _Pair:
         """Some rows of the matches."""
-        return replace(
-            self,
-            query=self.query[rows],
-            train=self.train[rows],
-            older_xy=self.older_xy[rows],
-            image_xy=self.image_xy[rows],
-            xy=self.xy[rows],
+        return self._replace(
+            query=self.query.take(rows),
+            train=self.train.take(rows),
+            older_xy=self.older_xy.take(rows, axis=0),
+            image_xy=self.image_xy.take(rows, axis=0),
+            xy=self.xy.take(rows, axis=0),
         )
 
-    def moved(self, rows: Bools, image_xy: Floats, rig: RectifiedRig) -> _Pair:
-        """Some rows of the matches, at new pixels (n, 2) in the newer keyframe."""
-        at = image_xy[rows]
+    def moved(self, chosen: Bools, image_xy: Floats, rig: RectifiedRig) -> _Pair:
+        """The matches chosen by a mask (n,), at new pixels (n, 2) in the newer keyframe."""
+        rows = chosen.nonzero()[0]
+        at = image_xy.take(rows, axis=0)
         xy = at_middle_row(rig, at, self.inverse_depth, self.newer.velocity)
-        return replace(self.select(rows), image_xy=at, xy=xy)
+        return self.select(rows)._replace(image_xy=at, xy=xy)
 
 
 class KeyframeTriangulator:
@@ -207,10 +206,11 @@ class KeyframeTriangulator:
         if pair is None:
             return
         points = self._points(pair, search)
-        pair = pair.select(points.valid)
-        found = self._align_on_surfaces(pair, points.xyz[points.valid])
+        valid = points.valid.nonzero()[0]
+        pair = pair.select(valid)
+        found = self._align_on_surfaces(pair, points.xyz.take(valid, axis=0))
         good = self._patches.is_found(found)
-        good &= np.linalg.norm(found.xy - pair.image_xy, axis=1) <= _MAX_CORRECTION_PX
+        good &= distances(found.xy, pair.image_xy) <= _MAX_CORRECTION_PX
         pair = self._at_middle_rows(pair.moved(good, found.xy, self._map.rig), search)
         points = self._points(pair, search)
         chosen = np.flatnonzero(points.valid)
@@ -233,32 +233,35 @@ class KeyframeTriangulator:
         if depth is None or baseline < _MIN_BASELINE_RATIO * depth:
             return None
         query, train = np.flatnonzero(older.free), np.flatnonzero(newer.free)
+        older_xy = older.undistorted_xy.take(query, axis=0)
         start, end, possible = epipolar_segments(
-            older.undistorted_xy[query],
+            older_xy,
             newer_from_older,
             _MIN_DEPTH * depth,
             _MAX_DEPTH * depth,
             _MIN_DEPTH_RATIO,
             self._map.rig.intrinsics,
         )
-        query, start, end = query[possible], start[possible], end[possible]
+        rows = possible.nonzero()[0]
+        start, end = start.take(rows, axis=0), end.take(rows, axis=0)
         size = self._scale_factor ** newer.keypoints.octave[train].astype(np.float64)
         matches = self._matcher.match(
-            feature_set(older.keypoints, query),
-            feature_set(newer.keypoints, train, newer.undistorted_xy[train]),
+            feature_set(older.keypoints, query.take(rows)),
+            feature_set(newer.keypoints, train, newer.undistorted_xy.take(train, axis=0)),
             EpipolarSegments(start, end, tolerance_px=1.5 * size),
         )
-        query, train = query[matches.query], train[matches.train]
-        if len(query) == 0:
+        if len(matches.query) == 0:
             return None
+        rows, size = rows.take(matches.query), size.take(matches.train)
+        query, train = query.take(rows), train.take(matches.train)
+        older_xy = older_xy.take(rows, axis=0)
         guess = newer.keypoints.xy[train].astype(np.float64)
-        warp = self._turned(older.undistorted_xy[query], newer_from_older) if search.turns else None
+        warp = self._turned(older_xy, newer_from_older) if search.turns else None
         found = self._patches.align(self._patches_of(older, query, warp), image, guess)
-        octave_size = self._scale_factor ** newer.keypoints.octave[train]
         good = self._patches.is_found(found)
-        good &= np.linalg.norm(found.xy - guess, axis=1) <= 1.0 + 1.5 * octave_size
+        good &= distances(found.xy, guess) <= 1.0 + 1.5 * size
         views = older, newer, image, newer_from_older, 1.0 / depth
-        pair = _Pair(*views, query, train, older.undistorted_xy[query], guess, guess)
+        pair = _Pair(*views, query, train, older_xy, guess, guess)
         return pair.moved(good, found.xy, self._map.rig)
 
     def _patches_of(
@@ -290,8 +293,7 @@ class KeyframeTriangulator:
         in_newer = transform_points(pair.newer_from_older, xyz)
         near = 1.0 / xyz[:, 2], np.where(points.valid, 1.0 / in_newer[:, 2], pair.inverse_depth)
         older_xy = older.keypoints.xy[pair.query].astype(np.float64)
-        return replace(
-            pair,
+        return pair._replace(
             older_xy=at_middle_row(rig, older_xy, near[0], older.velocity),
             xy=at_middle_row(rig, pair.image_xy, near[1], newer.velocity),
         )

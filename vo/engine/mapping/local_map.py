@@ -106,7 +106,7 @@ class LocalMap:
     @property
     def poses(self) -> Floats:
         """(K, 4, 4) world_from_cam of the keyframes."""
-        return np.stack([k.world_from_cam for k in self.keyframes])
+        return np.array([k.world_from_cam for k in self.keyframes])
 
     @property
     def of_first_view(self) -> list[Keyframe]:
@@ -186,7 +186,7 @@ class LocalMap:
         new = {
             "id": ids,
             "xyz": xyz,
-            "normal": np.tile(reference.world_from_cam[:3, 2], (n, 1)),  # facing that camera
+            "normal": reference.world_from_cam[None, :3, 2].repeat(n, axis=0),  # facing it
             "descriptor": keypoints.descriptor[features],
             "octave": keypoints.octave[features],
             "angle": keypoints.angle[features],
@@ -212,7 +212,7 @@ class LocalMap:
         They are ordered by keyframe, like concatenated arrays of the keyframes.
         """
         observed = [k.landmark for k in self.keyframes]
-        number = np.repeat(np.arange(len(observed)), [len(ids) for ids in observed])
+        number = np.arange(len(observed)).repeat([len(ids) for ids in observed])
         return number, self.rows(np.concatenate(observed))
 
     def keep_landmarks(self, mask: Bools) -> None:

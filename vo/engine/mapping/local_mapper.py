@@ -168,7 +168,7 @@ class LocalMapper:
         if len(new) == 0 or not others:
             return
         first = local_map.id[new[0]]
-        unseen = [~np.isin(local_map.id[new], k.landmark[k.landmark >= first]) for k in others]
+        unseen = [~_among(local_map.id[new] - first, k.landmark - first) for k in others]
         rows = np.concatenate([new[mask] for mask in unseen])
         camera = np.repeat(np.arange(len(others)), [np.count_nonzero(mask) for mask in unseen])
         camera += len(local_map.keyframes) - 1 - len(others)
@@ -182,3 +182,10 @@ class LocalMapper:
                         ids, found.xy[here], found.image_xy[here], self._patches.sigma_px
                     )
                 )
+
+
+def _among(ids: Ints, others: Ints) -> Bools:
+    """Mask (n,) of increasing ids, from 0, that are among others (m,); `np.isin` takes longer."""
+    there = np.zeros(ids[-1] + 1, dtype=bool)
+    there[others[(others >= 0) & (others <= ids[-1])]] = True
+    return np.asarray(there[ids])

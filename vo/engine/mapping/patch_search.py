@@ -11,6 +11,7 @@ from vo.base.types import Bools, Floats, Ints
 from vo.engine.frontend.patch_alignment import PatchAligner, Patches
 from vo.engine.geometry.homographies import homographies
 from vo.engine.geometry.image_masks import used_at
+from vo.engine.geometry.neighbours import distances
 from vo.engine.geometry.patch_prediction import predict_patches
 from vo.engine.geometry.rolling_shutter import as_seen, at_middle_row
 from vo.engine.mapping.local_map import LocalMap
@@ -63,9 +64,8 @@ def find_patches(
     slot, at = slots[reference[rows]], local_map.reference_xy[rows]
     references = Patches(local_map.images, slot, at, warp)
     found = patches.align_in(references, local_map.images, slots[camera], expected)
-    shift = np.linalg.norm(found.xy - expected, axis=1)
     ideal = _at_middle_row(local_map, camera, found.xy, near[inside])
-    good = patches.is_found(found) & (shift <= patches.max_shift_px)
+    good = patches.is_found(found) & (distances(found.xy, expected) <= patches.max_shift_px)
     good &= np.isfinite(ideal).all(axis=1)
     return FoundPatches(rows[good], camera[good], ideal[good], found.xy[good])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ class TrackedFrame:
     velocity: Velocity | None = None
     information: Floats | None = None
 
-    @property
+    @cached_property
     def inliers(self) -> int:
         """Number of observations that agree with the pose."""
         return int(np.count_nonzero(self.inlier))
