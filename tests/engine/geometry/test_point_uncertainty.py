@@ -49,9 +49,8 @@ def test_standard_deviation_is_that_of_many_noisy_trials(stereo: bool) -> None:
         camera,
         observed.disparity,
         observed.sigma_px,
-        SIGMA_DISPARITY,
         FOCAL,
-        focal_baseline,
+        focal_baseline / SIGMA_DISPARITY,
     )
     assert predicted == pytest.approx(measured, rel=0.1)
 
@@ -60,8 +59,8 @@ def test_one_ray_determines_no_depth() -> None:
     one = np.zeros(1, dtype=np.int64)
     unknown, known, sigma_px = np.array([np.nan]), np.ones(1), np.ones(1)
     arguments = (np.ones((1, 3)), np.zeros((1, 3)), one, one)
-    assert np.isinf(position_sigma(*arguments, unknown, sigma_px, 1.0, FOCAL, 0.0)).all()
-    assert np.isfinite(position_sigma(*arguments, known, sigma_px, 1.0, FOCAL, 50.0)).all()
+    assert np.isinf(position_sigma(*arguments, unknown, sigma_px, FOCAL, 0.0)).all()
+    assert np.isfinite(position_sigma(*arguments, known, sigma_px, FOCAL, 50.0)).all()
 
 
 def test_observations_of_other_points_do_not_count() -> None:
@@ -71,6 +70,6 @@ def test_observations_of_other_points_do_not_count() -> None:
     def sigma(used: list[int]) -> Floats:
         observed = point[used], camera[used], disparity[used], np.ones(len(used))
         at = np.array([[0.0, 0.0, 5.0]])
-        return position_sigma(at, centres, *observed, SIGMA_DISPARITY, FOCAL, 50.0)
+        return position_sigma(at, centres, *observed, FOCAL, 50.0)
 
     assert sigma([0, 1, 2]) == sigma([0, 2]) < sigma([0])

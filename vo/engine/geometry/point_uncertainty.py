@@ -15,7 +15,6 @@ def position_sigma(
     camera: Ints,
     disparity: Floats,
     sigma_px: Floats,
-    sigma_disparity_px: float,
     focal_px: float,
     focal_baseline: float,
 ) -> Floats:
@@ -23,7 +22,7 @@ def position_sigma(
 
     N observations by rows of points (M, 3), -1 for none of them, and of camera centres (K, 3) in
     the world, taken to be near the principal point; disparities (N,) are NaN where there are none;
-    `focal_baseline` is in px m, 0 in mono.
+    `focal_baseline` is in m and standard deviations of a disparity, 0 in mono.
 
     Returns:
         (M,); infinite where the observations do not determine the depth.
@@ -36,7 +35,6 @@ def position_sigma(
             camera,
             disparity,
             sigma_px,
-            sigma_disparity_px,
             focal_px,
             focal_baseline,
         )
@@ -45,7 +43,7 @@ def position_sigma(
 
 @compiled
 def _position_sigma(  # type: ignore[no-untyped-def]
-    points, centres, point, camera, disparity, sigma_px, sigma_d, focal, fb
+    points, centres, point, camera, disparity, sigma_px, focal, fb
 ):
     # The information of a ray with unit direction r is across * (I - r r^T) + along * r r^T. The
     # sum for each point is stored as xx, yy, zz, xy, xz, yz.
@@ -57,7 +55,7 @@ def _position_sigma(  # type: ignore[no-untyped-def]
         x, y, z = at[0] - centre[0], at[1] - centre[1], at[2] - centre[2]
         squared = max(x * x + y * y + z * z, 1e-18)
         across = (focal / sigma_px[n]) ** 2 / squared
-        along = 0.0 if np.isnan(disparity[n]) else (fb / sigma_d / squared) ** 2
+        along = 0.0 if np.isnan(disparity[n]) else (fb / squared) ** 2
         weight = (along - across) / squared
         total = information[point[n]]
         total[0] += across + weight * x * x

@@ -340,9 +340,8 @@ class LocalMap:
             number,
             np.concatenate([k.disparity for k in self.keyframes]),
             np.concatenate([k.sigma_px for k in self.keyframes]),
-            self._sigma_disparity_px,
             self.rig.fx,
-            self.rig.fx * self.rig.baseline_m,
+            self.rig.fx * self.rig.baseline_m / self._sigma_disparity_px,
         )
 
 

@@ -218,8 +218,7 @@ class FinalAdjustment:
                         rig = rig.with_k1_error(rig.k1_error + float(step[0]))
                     else:
                         takes_depths = _is_small(step, rig)
-                problem = self._problem(views, rig)
-                off = residuals(problem, views.world_from_cam, views.points).length
+                off, *_ = residuals(self._problem(views, rig), views.world_from_cam, views.points)
                 gate = _GATE if number < rounds - 1 else _LAST_GATE
                 views = views.select(np.flatnonzero(off < gate))
         if connected is None or (by_sensor and connected is not views):
