@@ -181,12 +181,12 @@ def _run(request: RunRequest, config: Config, options: dict[str, Any], stack: Ex
 
 def _pose_targets(outputs: Outputs, stack: ExitStack) -> list[str | PoseSink]:
     """Where to send poses; standard output is reserved for them if they are written there."""
-    from vo.cli.reserved_output import reserved_standard_output
-    from vo.outputs.streaming.json_lines import JsonLines
-
     given = outputs.poses or []
     if not outputs.poses_on_standard_output:
         return list(given)
+    from vo.cli.reserved_output import reserved_standard_output
+    from vo.outputs.streaming.json_lines import JsonLines
+
     lines = JsonLines(stack.enter_context(reserved_standard_output()))
     return [lines if address == "-" else address for address in given]
 

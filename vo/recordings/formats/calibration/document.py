@@ -8,6 +8,7 @@ import math
 import zipfile
 import zlib
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -78,14 +79,26 @@ class Document:
     """A calibration file of a format not yet detected.
 
     Attributes:
-        data: its content parsed as YAML, JSON or XML; empty if it is not a mapping.
-        problem: why it could not be parsed; empty if it could.
+        content: its sections, where they are not read from the text, and what is wrong with them.
     """
 
     path: Path
     text: str
-    data: Mapping[str, Any]
-    problem: str = ""
+    content: tuple[Mapping[str, Any], str] | None = None
+
+    @cached_property
+    def _sections(self) -> tuple[Mapping[str, Any], str]:
+        return self.content or sections_of(self.text)
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """The content parsed as YAML, JSON or XML; empty if it is not a mapping."""
+        return self._sections[0]
+
+    @property
+    def problem(self) -> str:
+        """Why it could not be parsed; empty if it could."""
+        return self._sections[1]
 
     def section(self, name: str) -> Mapping[str, Any]:
         """The mapping under a top-level key."""
@@ -119,7 +132,7 @@ def load_document(path: Path) -> Document:
                 f"only the cameras, below {max_bytes} bytes"
             )
         if is_npz:
-            return Document(path, "", *_read_archive(read_bytes(path, max_bytes)))
+            return Document(path, "", _read_archive(read_bytes(path, max_bytes)))
         text = read_text(path, max_bytes)
     except FileNotFoundError as error:
         raise CalibrationError(f"calibration file {path} does not exist") from error
@@ -128,8 +141,7 @@ def load_document(path: Path) -> Document:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise CalibrationError(f"calibration file {path} cannot be read: {reason}") from error
-    data, problem = sections_of(text)
-    return Document(path, text, data, problem)
+    return Document(path, text)
 
 
 def _read_archive(content: bytes) -> tuple[dict[str, Any], str]:

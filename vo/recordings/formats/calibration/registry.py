@@ -118,4 +118,4 @@ def _load(path: Path) -> Document:
     loaded = load_document(beside)
     imu = FORMATS["Kalibr"].loaded.OPENVINS_IMU
     settings = {key: document.data[key] for key in (imu,) if key in document.data}
-    return replace(loaded, data={**loaded.data, **settings})
+    return replace(loaded, content=({**loaded.data, **settings}, ""))
