@@ -71,5 +71,6 @@ def _interpolated(values: Floats32, u: Floats32, v: Floats32) -> Floats32:
         return np.asarray(found, dtype=np.float32)
 
     between, nearest = remapped(cv2.INTER_LINEAR), remapped(cv2.INTER_NEAREST)
-    is_torn = np.abs(between - nearest) > _TORN_PX
-    return np.where(is_torn, np.float32(_OUTSIDE_PX), between)
+    np.subtract(between, nearest, out=nearest)
+    np.copyto(between, _OUTSIDE_PX, where=np.abs(nearest, out=nearest) > _TORN_PX)
+    return between
