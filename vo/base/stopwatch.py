@@ -23,13 +23,21 @@ class Stopwatch:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Count the time inside towards a stage."""
-        self._switch()
-        self._running.append(name)
+        self.begin(name)
         try:
             yield
         finally:
-            self._switch()
-            self._running.pop()
+            self.end()
+
+    def begin(self, name: str) -> None:
+        """Begin a stage; `end` has to follow."""
+        self._switch()
+        self._running.append(name)
+
+    def end(self) -> None:
+        """End the stage that was begun last."""
+        self._switch()
+        self._running.pop()
 
     def take(self) -> dict[str, float]:
         """The times since the last call, which are then forgotten."""
@@ -61,8 +69,12 @@ def timed(
     def decorate(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
         @wraps(method)
         def timed_method(self: S, /, *args: Any, **kwargs: Any) -> R:
-            with self.stopwatch.stage(stage):
+            stopwatch = self.stopwatch
+            stopwatch.begin(stage)
+            try:
                 return method(self, *args, **kwargs)
+            finally:
+                stopwatch.end()
 
         return timed_method
 

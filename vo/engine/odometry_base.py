@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
 from typing import Any, Generic, Protocol, TypeVar
 
 from vo.base.faults import Fault
@@ -228,8 +227,10 @@ class OdometryBase(ABC, Generic[FrameT]):
         moved = path.take_moved()
         self._has_moved = bool(moved)
         pose = result.world_from_cam
-        return replace(
-            make_estimate(result, self._recovery.state, segment),
+        return make_estimate(
+            result,
+            self._recovery.state,
+            segment,
             world_from_cam0=None if pose is None else path.map_from_cam0(pose, self._anchor),
             predicted=path.predicted(result.predicted, segment, self._anchor),
             faults=result.every_fault + self._faults,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -88,13 +88,14 @@ class FrameResult(NamedTuple):
         return None if self.tracked is None else self.tracked.world_from_cam
 
 
-def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
-    """What is known of a frame alone: all but its pose and what concerns the map.
+def make_estimate(result: FrameResult, state: State, segment: int, **others: Any) -> Estimate:
+    """The estimate of a frame.
 
     Args:
         result: of the frame.
         state: of the odometry; a frame without a pose is `lost` where that is tracking.
         segment: number of its segment.
+        others: fields that do not depend on the frame alone: its pose and what concerns the map.
     """
     frame, tracked = result.frame, result.tracked
     return Estimate(
@@ -103,14 +104,13 @@ def make_estimate(result: FrameResult, state: State, segment: int) -> Estimate:
         state=State.LOST if tracked is None and state is State.TRACKING else state,
         failure=None if tracked is not None else _explained(result.failure, frame),
         segment=segment,
-        world_from_cam0=None,
         is_keyframe=result.is_keyframe,
         features=feature_count(frame, tracked),
         matches=0 if tracked is None else len(tracked.observed),
         inliers=0 if tracked is None else tracked.inliers,
-        keyframes=(),
         median_disparity_px=None if tracked is None else tracked.median_disparity_px,
         tracked_anew_from=frame.misled[0].index if frame.misled else None,
+        **others,
     )
 
 
@@ -158,7 +158,8 @@ def feature_count(frame: PreprocessedFrame, tracked: TrackedFrame | None) -> int
     if tracked is None:
         return len(features_xy)
     found_xy = tracked.observed.image_xy
-    return len(found_xy) + int(np.count_nonzero(far_from(features_xy, found_xy)))
+    others = far_from(features_xy, found_xy) if len(features_xy) else ()
+    return len(found_xy) + int(np.count_nonzero(others))
 
 
 def _view(result: FrameResult, local_map: LocalMap) -> View:

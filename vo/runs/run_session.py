@@ -26,7 +26,7 @@ from vo.outputs.results.run_statistics import Profile, RunStatistics, make_profi
 from vo.outputs.results.summary import RunFacts, Status, Summary, mode_of
 from vo.outputs.results.tables import covariance_line, frame_line, pose_lines
 from vo.outputs.streaming.streams import PoseStreams
-from vo.recordings.formats.trajectory import pose_fields, tum_line, tum_line_of_fields
+from vo.recordings.formats.trajectory import fields_of_poses, tum_line, tum_line_of_fields
 from vo.recordings.formats.warning_kinds import LoggedWarning
 from vo.recordings.sources.source import FrameStream, LiveStream, Recording
 from vo.runs.camera_poses import write_camera_poses
@@ -320,7 +320,7 @@ class RunSession:
         trajectory = self._odometry.trajectory
         row, keyframe_row = trajectory.take_changes()
         path = trajectory.path(row)
-        fields = [pose_fields(pose) for pose in path.trajectory.world_from_cam]
+        fields = fields_of_poses(path.trajectory.world_from_cam)
         stamps_ns = path.trajectory.stamps_ns.tolist()
         self._folder.trajectory.replace_from(row, map(tum_line_of_fields, stamps_ns, fields))
         self._folder.poses.replace_from(row, pose_lines(path, fields))

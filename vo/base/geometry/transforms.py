@@ -158,24 +158,19 @@ def quat_xyzw_from_rotation(rotation: Floats) -> Floats:
 
 
 def quat_xyzw_of_rows(m: list[list[float]]) -> list[float]:
-    """The same of nested lists, much faster than arrays."""
-    trace = m[0][0] + m[1][1] + m[2][2]
-    candidates = (m[0][0], m[1][1], m[2][2], trace)
-    i = candidates.index(max(candidates))
-    quat = [0.0, 0.0, 0.0, 0.0]
-    if i == 3:
-        quat[3] = 1.0 + trace
-        quat[0] = m[2][1] - m[1][2]
-        quat[1] = m[0][2] - m[2][0]
-        quat[2] = m[1][0] - m[0][1]
+    """The same of nested lists, much faster than arrays; further columns make no difference."""
+    (xx, xy, xz, *_), (yx, yy, yz, *_), (zx, zy, zz, *_) = m
+    trace, largest = xx + yy + zz, max(xx, yy, zz)
+    if trace > largest:
+        x, y, z, w = zy - yz, xz - zx, yx - xy, 1.0 + trace
+    elif largest == xx:
+        x, y, z, w = 1.0 - trace + 2.0 * xx, yx + xy, zx + xz, zy - yz
+    elif largest == yy:
+        x, y, z, w = yx + xy, 1.0 - trace + 2.0 * yy, zy + yz, xz - zx
     else:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        quat[i] = 1.0 - trace + 2.0 * m[i][i]
-        quat[j] = m[j][i] + m[i][j]
-        quat[k] = m[k][i] + m[i][k]
-        quat[3] = m[k][j] - m[j][k]
-    length = math.sqrt(sum(q * q for q in quat))
-    return [q / length for q in quat]
+        x, y, z, w = zx + xz, zy + yz, 1.0 - trace + 2.0 * zz, yx - xy
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    return [x / length, y / length, z / length, w / length]
 
 
 def _left_jacobian(rotvec: Floats) -> Floats:

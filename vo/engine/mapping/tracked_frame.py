@@ -98,15 +98,19 @@ class TrackedFrame:
     @property
     def lacks_disparities(self) -> bool:
         """Whether hardly any of the inliers has a disparity."""
-        measured = np.isfinite(self.observed.disparity[self.inlier])
-        return bool(np.count_nonzero(measured) < _MIN_MEASURED_RATIO * len(measured))
+        return len(self._measured_disparity) < _MIN_MEASURED_RATIO * self.inliers
 
     @property
     def median_disparity_px(self) -> float | None:
         """Median over the inliers; None where no disparity was measured."""
-        disparity = self.observed.disparity[self.inlier]
-        measured = disparity[~np.isnan(disparity)]
+        measured = self._measured_disparity
         return median(measured) if len(measured) else None
+
+    @cached_property
+    def _measured_disparity(self) -> Floats:
+        """Disparities of the inliers that have one."""
+        disparity = self.observed.disparity[self.inlier]
+        return np.asarray(disparity[np.isfinite(disparity)])
 
 
 def as_tracked_frame(local_map: LocalMap, keyframe: Keyframe) -> TrackedFrame:

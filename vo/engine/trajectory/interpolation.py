@@ -42,8 +42,9 @@ class InterpolatedFrames:
 
 def fill(poses: Floats, fraction: Floats) -> None:
     """Interpolate (n, 4, 4) along the geodesic where the fraction is not 0, from tracked ones."""
-    tracked = np.flatnonzero(fraction == 0)
-    for row in np.flatnonzero(fraction > 0).tolist():
+    added = (fraction > 0).nonzero()[0].tolist()
+    tracked = (fraction == 0).nonzero()[0]
+    for row in added:
         after = int(np.searchsorted(tracked, row))
         first, last = poses[tracked[after - 1]], poses[tracked[after]]
         poses[row] = interpolate(first, last, float(fraction[row]))

@@ -91,16 +91,9 @@ def apply_scale(table: NDArray[Any], rows: Ints, scale: MetricScale) -> None:
 def keyframe_poses(rows: NDArray[Any]) -> list[KeyframePose]:
     """Keyframes in the map frame."""
     world_from_cam0 = whole_transforms(rows["world_from_cam0"])
-    covariance = symmetric(rows["covariance"])
-    known = np.isfinite(rows["covariance"][:, 0])
-    return [
-        KeyframePose(
-            int(row["frame_index"]),
-            int(row["stamp_ns"]),
-            int(row["segment"]),
-            world_from_cam0[k],
-            covariance[k] if known[k] else None,
-            float(row["scale"]),
-        )
-        for k, row in enumerate(rows)
-    ]
+    covariances: list[Floats | None] = list(symmetric(rows["covariance"]))
+    for row in np.flatnonzero(~np.isfinite(rows["covariance"][:, 0])).tolist():
+        covariances[row] = None
+    place = [rows[name].tolist() for name in ("frame_index", "stamp_ns", "segment")]
+    scale = rows["scale"].tolist()
+    return list(map(KeyframePose, *place, world_from_cam0, covariances, scale))

@@ -96,13 +96,13 @@ class TrajectoryStore:
         self._moved.update(keyframes)
         self._changed_keyframe = min(self._changed_keyframe, self._keyframe_row(keyframes[0]))
         rows = keyframe_rows(keyframes, poses, self._anchors)
-        for keyframe, fields in zip(keyframes, rows, strict=True):
-            row = self._keyframe_row(keyframe)
-            if row == len(self._keyframes):
-                self._keyframes.append(*fields)
-            else:
-                fields["previous_from_cam"] = self._keyframes.rows["previous_from_cam"][row]
-                self._keyframes.rows[row] = fields
+        table = self._keyframes.rows
+        at = self._keyframe_rows(keyframes)
+        known = int(np.count_nonzero(at < len(table)))
+        rows["previous_from_cam"][:known] = table["previous_from_cam"][at[:known]]
+        table[at[:known]] = rows[:known]
+        for fields in rows[known:]:
+            self._keyframes.append(*fields)
         self._change_from(self._keyframe_row(keyframes[0]))
 
     def connect(self, keyframe: int) -> None:
@@ -278,11 +278,11 @@ class TrajectoryStore:
     def take_moved(self) -> tuple[KeyframePose, ...]:
         """Keyframes that were added or moved since the last call, in order of ids."""
         moved, self._moved = sorted(self._moved), set()
-        return tuple(self.keyframes_by_id(moved))
+        return tuple(self.keyframes_by_id(moved)) if moved else ()
 
     def keyframes_by_id(self, keyframes: Sequence[int]) -> list[KeyframePose]:
         """Keyframes by increasing ids."""
-        return keyframe_poses(self._keyframes.rows[[self._keyframe_row(k) for k in keyframes]])
+        return keyframe_poses(self._keyframes.rows[self._keyframe_rows(keyframes)])
 
     def newest_certain(self, segment: int) -> KeyframePose | None:
         """The newest keyframe of a segment that has a covariance, None without one."""
@@ -296,7 +296,7 @@ class TrajectoryStore:
 
     def keyframes(self, row: int = 0) -> list[KeyframePose]:
         """Keyframes from a row on."""
-        return keyframe_poses(self._keyframes.rows[row:])
+        return keyframe_poses(self._keyframes.rows[row:]) if row < len(self._keyframes) else []
 
     def covariances(self, row: int = 0) -> list[KeyframePose]:
         """Keyframes from a row on, among the frames with a pose by the inertial sensor."""
@@ -307,16 +307,15 @@ class TrajectoryStore:
         """All frames with their current poses, from a row on."""
         frames = self.frames[row:]
         rows = self._keyframe_rows(frames["keyframe"])
-        interpolated, inertial = frames["fraction"] > 0, np.minimum(frames["fraction"], 0.0)
-        frame_index = frames["frame_index"].copy()
-        is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
-        segment = frames["segment"].astype(np.int64)
-        numbers, inverted = np.unique(segment, return_inverse=True)
-        world = np.array([self.world(n) for n in numbers.tolist()], np.int64)[inverted]
+        frame_index, fraction = frames["frame_index"].copy(), frames["fraction"]
+        inertial = np.minimum(fraction, 0.0).astype(np.int64)
+        is_keyframe = (self._keyframes.rows["frame_index"][rows] == frame_index) & (inertial == 0)
+        world = segment = frames["segment"].astype(np.int64)
+        if self._worlds:
+            world = np.array([self.world(number) for number in segment.tolist()], np.int64)
         trajectory = self.trajectory(row)
         return PosedFrames(
-            *(frame_index, segment, world, is_keyframe & (inertial == 0)),
-            *(interpolated, trajectory, inertial.astype(np.int64)),
+            frame_index, segment, world, is_keyframe, fraction > 0, trajectory, inertial
         )
 
     def trajectory(self, row: int = 0) -> Trajectory:
@@ -389,9 +388,9 @@ class TrajectoryStore:
         # NumPy would copy the whole column each time.
         return bisect_left(self._keyframes.rows["id"], keyframe)
 
-    def _keyframe_rows(self, keyframes: Ints) -> Ints:
+    def _keyframe_rows(self, keyframes: Ints | Sequence[int]) -> Ints:
         """Rows (n,) of non-decreasing ids (n,)."""
         if len(keyframes) == 0:
-            return keyframes
+            return np.zeros(0, np.int64)
         first = self._keyframe_row(int(keyframes[0]))
-        return first + np.searchsorted(self._keyframes.rows["id"][first:], keyframes)
+        return first + self._keyframes.rows["id"][first:].searchsorted(keyframes)

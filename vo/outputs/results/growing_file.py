@@ -6,6 +6,7 @@ import os
 from array import array
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from itertools import accumulate
 from pathlib import Path
 
 from vo.base.errors import OutputError
@@ -57,11 +58,11 @@ class GrowingFile:
             return
         old_end = self._offsets[-1]
         del self._offsets[row + 1 :]
-        begin = self._offsets[-1]
-        for line in encoded:
-            self._offsets.append(self._offsets[-1] + len(line))
+        begin = self._offsets.pop()
+        self._offsets.extend(accumulate(map(len, encoded), initial=begin))
         try:
-            self._file.seek(begin)
+            if begin < old_end:
+                self._file.seek(begin)
             self._write(b"".join(encoded))
             if self._offsets[-1] < old_end:
                 self._file.truncate(self._offsets[-1])
@@ -102,6 +103,7 @@ class GrowingFile:
             while self._offsets[-1] > written:
                 self._offsets.pop()
             self._file.truncate(self._offsets[-1])
+            self._file.seek(self._offsets[-1])
 
     def _error(self, error: OSError) -> OutputError:
         return OutputError(f"{self._path} cannot be written: {error.strerror or error}")

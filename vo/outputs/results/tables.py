@@ -28,12 +28,13 @@ def pose_lines(placed: PosedFrames, fields: Sequence[Sequence[str]]) -> Iterator
         placed.is_keyframe.astype(int).tolist(),
         interpolated.tolist(),
     )
-    for *columns_of_row, numbers in zip(*columns, fields, strict=True):
-        yield ",".join((*map(str, columns_of_row), *numbers))
+    for frame, stamp, segment, keyframe, how, numbers in zip(*columns, fields, strict=True):
+        yield f"{frame},{stamp},{segment},{keyframe},{how},{','.join(numbers)}"
 
 
 _AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 _ROWS, _COLUMNS = np.triu_indices(6)
+_ENTRIES = ",%.9e" * len(_ROWS)
 
 COVARIANCE_HEADING = ",".join(
     ("stamp_ns", "frame", "segment")
@@ -46,8 +47,7 @@ def covariance_line(keyframe: KeyframePose) -> str:
     place = f"{keyframe.stamp_ns},{keyframe.frame_index},{keyframe.segment}"
     if keyframe.covariance is None:
         return place + "," * len(_ROWS)
-    entries = keyframe.covariance[_ROWS, _COLUMNS].tolist()
-    return ",".join([place, *[f"{value:.9e}" for value in entries]])
+    return place + _ENTRIES % tuple(keyframe.covariance[_ROWS, _COLUMNS].tolist())
 
 
 # In the order of processing; other wall time is in the total only.

@@ -218,11 +218,20 @@ def tum_line_of_fields(stamp_ns: int, fields: Sequence[str]) -> str:
 
 def pose_fields(world_from_cam: Floats) -> list[str]:
     """Format `tx ty tz qx qy qz qw` with nine decimals each; qw is not negative."""
-    matrix_rows = world_from_cam[:3].tolist()
-    quat_xyzw = quat_xyzw_of_rows(matrix_rows)
-    if quat_xyzw[3] < 0:
-        quat_xyzw = [-q for q in quat_xyzw]
-    return [f"{value:z.9f}" for value in (*(row[3] for row in matrix_rows), *quat_xyzw)]
+    (fields,) = fields_of_poses(world_from_cam[None])
+    return fields
+
+
+def fields_of_poses(world_from_cam: Floats) -> list[list[str]]:
+    """The same of many poses (N, 4, 4)."""
+    result = []
+    for rows in world_from_cam[:, :3].tolist():
+        quat_xyzw = quat_xyzw_of_rows(rows)
+        if quat_xyzw[3] < 0:
+            quat_xyzw = [-q for q in quat_xyzw]
+        numbers = (rows[0][3], rows[1][3], rows[2][3], *quat_xyzw)
+        result.append([f"{value:z.9f}" for value in numbers])
+    return result
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
