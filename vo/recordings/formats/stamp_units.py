@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from datetime import datetime
 from decimal import Decimal, InvalidOperation
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol, TypeVar
 
 from vo.base.errors import SourceError
 from vo.base.faults import Fault, FaultKind
@@ -29,6 +29,7 @@ _WORDS = {"ns": "nanoseconds", "us": "microseconds", "ms": "milliseconds", "s": 
 _MIN_LONG = Decimal(10) ** 11
 """As seconds, this would be in the year 5138; whole numbers of this size may be nanoseconds."""
 
+_Number = TypeVar("_Number", int, Decimal)
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d[ T_]\d\d:\d\d:\d\d)(?:[.,](\d{1,9}))?(Z|[+-]\d\d:\d\d)?")
 _PARTS = re.compile(r"(\d+)\.(\d+)")
 _JOINED = re.compile(r"(\d{10})(\d{1,9})")
@@ -57,15 +58,29 @@ STATED = Spacing("stamps", 0, MAX_STAMP_NS, (0, 0))  # the unit is known
 SAMPLES = Spacing("samples", 20_000, 500_000_000, (500_000, 100_000_000))
 
 
+class Stamp(Protocol):
+    """A stamp of a table."""
+
+    @property
+    def location(self) -> str:
+        """Where it is, `FILE:NUMBER`, for messages."""
+        ...
+
+    @property
+    def text(self) -> str:
+        """The stamp as written."""
+        ...
+
+
 class StampText(NamedTuple):
-    """A stamp as written, and its location (`FILE:NUMBER`) for messages."""
+    """See `Stamp`."""
 
     location: str
     text: str
 
 
 def parse_stamps(
-    stamps: Sequence[StampText],
+    stamps: Sequence[Stamp],
     unit: StampUnit,
     faults: list[Fault] | None = None,
     spacing: Spacing = IMAGES,
@@ -80,8 +95,11 @@ def parse_stamps(
 
     `faults`: receives another unit.
     """
+    plain = _plain([stamp.text for stamp in stamps], unit, spacing)
+    if plain is not None:
+        return plain
     if stamps and _DATE.fullmatch(stamps[0].text):
-        stamps = [StampText(location, _seconds_of_date(text)) for location, text in stamps]
+        stamps = [StampText(each.location, _seconds_of_date(each.text)) for each in stamps]
         unit, spacing = "s", STATED
     stamps = _completed(stamps)
     numbers = [_number(stamp.text) for stamp in stamps]
@@ -104,6 +122,19 @@ def parse_stamps(
     return parsed
 
 
+def _plain(texts: list[str], unit: StampUnit, spacing: Spacing) -> list[int] | None:
+    """Stamps that are nanoseconds for certain, in a fraction of the time; None for others."""
+    try:
+        values = parse_all_ns(texts)
+    except ValueError:
+        return None
+    is_ns = unit == "ns" or (spacing is not STATED and min(values) >= _MIN_LONG)
+    interval = _interval(values)
+    is_usual = not interval or spacing.least_ns <= interval <= spacing.most_ns
+    is_certain = is_ns and is_usual and max(values) <= MAX_STAMP_NS
+    return values if is_certain and not _may_be_joined(texts) else None
+
+
 def _seconds_of_date(text: str) -> str:
     """Seconds since 1970, with the decimals as written; what is no date stays as it is."""
     found = _DATE.fullmatch(text)
@@ -115,16 +146,15 @@ def _seconds_of_date(text: str) -> str:
     return f"{int(moment.timestamp())}.{found[2] or 0}"
 
 
-def _completed(stamps: Sequence[StampText]) -> Sequence[StampText]:
+def _completed(stamps: Sequence[Stamp]) -> Sequence[Stamp]:
     """Stamps with the zeros that `%d.%d` or `%d%d` of seconds and nanoseconds leaves out.
 
     Then fractions have different lengths, but none begins with a zero; completed, the stamps
     increase in the order of the file, or their intervals differ less.
     """
     texts = [stamp.text for stamp in stamps]
-    lengths = {len(text) for text in texts}
-    is_joined = len(lengths) > 1 and max(lengths) == 19
-    parts = [(_JOINED if is_joined else _PARTS).fullmatch(text) for text in texts]
+    pattern = _JOINED if _may_be_joined(texts) else _PARTS
+    parts = [pattern.fullmatch(text) for text in texts]
     found = [(part[1], part[2]) for part in parts if part is not None]
     digits = [fraction for _, fraction in found]
     width = max(map(len, digits), default=0)
@@ -152,6 +182,12 @@ def _completed(stamps: Sequence[StampText]) -> Sequence[StampText]:
     return [StampText(stamp.location, text) for stamp, text in zip(stamps, completed, strict=True)]
 
 
+def _may_be_joined(texts: Sequence[str]) -> bool:
+    """Whether the zeros may be left out between seconds and nanoseconds without a point."""
+    lengths = set(map(len, texts))
+    return len(lengths) > 1 and max(lengths) == 19
+
+
 def _irregular(values: Sequence[Decimal]) -> int:
     """Number of intervals that differ from the median by more than half of it."""
     ordered, usual = sorted(values), _interval(values)
@@ -168,11 +204,11 @@ def _number(text: str) -> Decimal | None:
     return value if value.is_finite() and value.adjusted() <= _MAX_DIGITS else None
 
 
-def _interval(values: Sequence[Decimal]) -> Decimal:
+def _interval(values: Sequence[_Number]) -> _Number:
     """The median interval; 0 for fewer than two."""
     ordered = sorted(values)
     steps = sorted(b - a for a, b in zip(ordered, ordered[1:], strict=False))
-    return steps[(len(steps) - 1) // 2] if steps else Decimal(0)
+    return steps[(len(steps) - 1) // 2] if steps else values[0] - values[0]
 
 
 def _unit_that_fits(
@@ -191,7 +227,7 @@ def _unit_that_fits(
     return usual
 
 
-def _nanoseconds(stamp: StampText, number: Decimal | None, unit: StampUnit) -> int:
+def _nanoseconds(stamp: Stamp, number: Decimal | None, unit: StampUnit) -> int:
     try:
         if unit == "ns" and (number is None or number != number.to_integral_value()):
             value = parse_ns(stamp.text)
@@ -247,7 +283,7 @@ def stamp_ns_from_seconds(text: str) -> int:
 
 
 def _report_unit(
-    first: StampText,
+    first: Stamp,
     interval_ns: Decimal,
     unit: StampUnit,
     found: StampUnit,

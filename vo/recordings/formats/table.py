@@ -26,11 +26,22 @@ _TUM_ORDER = (0, 1, 2, 3, 7, 4, 5, 6)  # in that of EuRoC
 
 
 class Line(NamedTuple):
-    """A line of data: its location (for error messages), its fields and their separator."""
+    """A line of data: its file and number, its fields and their separator."""
 
-    location: str
+    file: Path
+    number: int
     fields: list[str]
     has_commas: bool
+
+    @property
+    def location(self) -> str:
+        """Where it is, for messages."""
+        return f"{self.file}:{self.number}"
+
+    @property
+    def text(self) -> str:
+        """The first field, which is the stamp in most tables."""
+        return self.fields[0]
 
 
 def table_text(path: Path, missing: str, not_text: str = "is not text", role: str = "") -> str:
@@ -50,12 +61,18 @@ def read_table(path: Path) -> list[Line]:
 
     An incomplete last line, left by a program that was killed, is dropped with a warning.
     """
+    return _table(path)[0]
+
+
+def _table(path: Path) -> tuple[list[Line], list[str]]:
+    """The lines of data, see `read_table`, and all lines as text."""
     text = table_text(
         path,
         "does not exist; give the path of a trajectory file",
         "is not text; trajectories are TUM, KITTI or EuRoC text",
     )
-    lines = _data_lines(path, text)
+    texts = text.splitlines()
+    lines = _data_lines(path, texts)
     if lines and not _is_number(lines[0].fields[0]) and stamp_column(lines[0].fields) is not None:
         lines = lines[1:]
     if len(lines) > 1 and text[-1] != "\n" and len(lines[-1].fields) < len(lines[-2].fields):
@@ -63,7 +80,7 @@ def read_table(path: Path) -> list[Line]:
         lines.pop()
     if not lines:
         raise SourceError(f"{path} has no line of data; give a trajectory with at least one pose")
-    return lines
+    return lines, texts
 
 
 def read_poses_table(path: Path) -> list[Line]:
@@ -71,8 +88,8 @@ def read_poses_table(path: Path) -> list[Line]:
 
     With commas it is that of EuRoC, with qw before qx; without, that of TUM.
     """
-    lines = read_table(path)
-    names = heading_of(read_table_text(path).splitlines())
+    lines, texts = _table(path)
+    names = heading_of(texts)
     stamp, position = stamp_column(names), axis_columns(names, POSITION)
     quaternion = axis_columns(names, QUATERNION, "wxyz" if lines[0].has_commas else "xyzw")
     if stamp is None or position is None or quaternion is None:
@@ -98,15 +115,17 @@ def _as_euroc(path: Path, lines: list[Line]) -> list[Line]:
     return [line._replace(fields=[line.fields[number] for number in _TUM_ORDER]) for line in lines]
 
 
-def _data_lines(path: Path, text: str) -> list[Line]:
+def _data_lines(path: Path, texts: list[str]) -> list[Line]:
     lines = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        line = line.strip()
-        if not line or line.startswith("#"):
+    for number, text in enumerate(texts, start=1):
+        text = text.strip()
+        if not text or text[0] == "#":
             continue
-        has_commas = "," in line
-        fields = [f.strip() for f in line.split(",")] if has_commas else line.split()
-        lines.append(Line(f"{path}:{number}", fields, has_commas))
+        has_commas = "," in text
+        fields = text.split("," if has_commas else None)
+        if has_commas and len(text.split(None, 1)) > 1:
+            fields = [field.strip() for field in fields]
+        lines.append(Line(path, number, fields, has_commas))
     return lines
 
 
@@ -129,12 +148,13 @@ def check_columns(lines: list[Line], columns: int, *, exactly: bool) -> None:
 
 def parse_columns(lines: list[Line], start: int, stop: int) -> Floats:
     """Parse columns start to stop - 1 as (N, stop - start) numbers, which may be NaN."""
-    values = np.empty((len(lines), stop - start))
-    for i, line in enumerate(lines):
-        try:
-            values[i] = [float(field) for field in line.fields[start:stop]]
-        except ValueError as error:
-            raise SourceError(f"{line.location}: {error}; every column must be a number") from error
+    rows, line = [], lines[0]
+    try:
+        for line in lines:
+            rows.append([float(field) for field in line.fields[start:stop]])
+    except ValueError as error:
+        raise SourceError(f"{line.location}: {error}; every column must be a number") from error
+    values = np.array(rows, dtype=np.float64).reshape(len(lines), stop - start)
     implausible = np.isfinite(values) & (np.abs(values) > _MAX_VALUE)
     if implausible.any():
         i, j = np.argwhere(implausible)[0]

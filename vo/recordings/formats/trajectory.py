@@ -13,7 +13,7 @@ from vo.base.errors import OutputError, SourceError
 from vo.base.geometry.transforms import quat_xyzw_of_rows, rotation_from_quat_xyzw
 from vo.base.printable import counted
 from vo.base.types import Floats, Ints, Trajectory
-from vo.recordings.formats.stamp_units import POSES, StampText, StampUnit, parse_stamps
+from vo.recordings.formats.stamp_units import POSES, StampUnit, parse_stamps
 from vo.recordings.formats.table import (
     Line,
     check_columns,
@@ -134,8 +134,7 @@ def read_kitti(path: Path | str, stamps_ns: Ints | None = None) -> Trajectory:
 
     `stamps_ns`: (N,) stamps of the poses; by default pose i gets i seconds.
     """
-    columns = len(read_table(Path(path))[0].fields)
-    lines, values = _read_numbers(path, max(columns, _KITTI_COLUMNS))
+    lines, values = _read_numbers(path, _KITTI_COLUMNS, or_more=True)
     values = values[:, :_KITTI_COLUMNS]
     stamps_ns = _or_whole_seconds(path, stamps_ns, len(lines))
     poses = np.tile(np.eye(4), (len(lines), 1, 1))
@@ -186,8 +185,7 @@ def read_kitti_times(path: Path | str) -> Ints:
     """
     lines = read_table(Path(path))
     check_columns(lines, 1, exactly=True)
-    stamps = parse_stamps([StampText(line.location, line.fields[0]) for line in lines], "s")
-    return np.array(stamps, dtype=np.int64)
+    return np.array(parse_stamps(lines, "s"), dtype=np.int64)
 
 
 def stamps_beside(path: Path | str) -> Ints | None:
@@ -249,8 +247,7 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
 
 
 def _stamps(lines: list[Line], unit: StampUnit) -> Ints:
-    texts = [StampText(line.location, line.fields[0]) for line in lines]
-    return np.array(parse_stamps(texts, unit, spacing=POSES), dtype=np.int64)
+    return np.array(parse_stamps(lines, unit, spacing=POSES), dtype=np.int64)
 
 
 def _trajectory(lines: list[Line], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floats) -> Trajectory:
@@ -274,9 +271,15 @@ def _trajectory(lines: list[Line], stamps_ns: Ints, xyz: Floats, quat_xyzw: Floa
     return _with_increasing_stamps(lines, stamps_ns[known], poses)
 
 
-def _read_numbers(path: Path | str, columns: int) -> tuple[list[Line], Floats]:
-    """The lines of a table of finite numbers alone, and the numbers (N, columns)."""
+def _read_numbers(
+    path: Path | str, columns: int, *, or_more: bool = False
+) -> tuple[list[Line], Floats]:
+    """The lines of a table of finite numbers alone, and the numbers (N, columns).
+
+    `or_more`: as many columns as the first line has, if these are more.
+    """
     lines = read_table(Path(path))
+    columns = max(columns, len(lines[0].fields)) if or_more else columns
     check_columns(lines, columns, exactly=True)
     values = parse_columns(lines, 0, columns)
     _check_finite(lines, values)
