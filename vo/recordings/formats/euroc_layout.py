@@ -15,7 +15,7 @@ from vo.recordings.formats.calibration import Calibration, read_calibration
 from vo.recordings.formats.calibration.document import load_document
 from vo.recordings.formats.calibration.numbers import make_transform
 
-_CHAIN = "camchain.yaml"
+_CHAIN, _SENSOR = "camchain.yaml", "sensor.yaml"
 
 
 class CameraOnBody(NamedTuple):
@@ -39,7 +39,7 @@ def calibration_files(root: Path) -> list[Path]:
     root = root.resolve()
     top = recording_folder(root)
     folders = list(dict.fromkeys([root, top, top / "dso"]))
-    files = [root / "cam0" / "sensor.yaml", *(folder / _CHAIN for folder in folders)]
+    files = [root / "cam0" / _SENSOR, *(folder / _CHAIN for folder in folders)]
     for folder in folders:  # Kalibr names its results after the bag
         named = [path for path in folder.glob("*camchain*.yaml") if path.name != _CHAIN]
         files += named if len(named) == 1 else []
@@ -56,7 +56,8 @@ def find_camera_on_body(root: Path, calibration: Calibration | None = None) -> C
         return CameraOnBody(calibration.body_from_cam0, calibration.file)
     damage: CalibrationError | None = None
     for file in calibration_files(root):
-        if not file.is_file():
+        is_read = calibration is not None and calibration.file == file and file.name != _SENSOR
+        if is_read or not file.is_file():
             continue
         try:
             pose = _pose_in(file)
@@ -72,7 +73,7 @@ def find_camera_on_body(root: Path, calibration: Calibration | None = None) -> C
 
 def _pose_in(file: Path) -> Floats | None:
     """The pose in a file; of sensor.yaml only the pose is read, as it may lack the lens."""
-    if file.name != "sensor.yaml":
+    if file.name != _SENSOR:
         return read_calibration(file).body_from_cam0
     document = load_document(file)
     if "T_BS" not in document.data:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from vo.base.errors import CalibrationError, SourceError, VoError
@@ -13,7 +14,7 @@ from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise, Mode, Trajectory
 from vo.recordings.formats.calibration import Calibration
 from vo.recordings.formats.calibration.checks import make_noise
-from vo.recordings.formats.calibration.document import load_document
+from vo.recordings.formats.calibration.document import Document, load_document
 from vo.recordings.formats.calibration.kalibr import NOISE_KEYS
 from vo.recordings.formats.calibration.numbers import make_transform
 from vo.recordings.formats.euroc_layout import (
@@ -38,6 +39,7 @@ from vo.recordings.sources.pairing import copy_stamps
 
 _TRUTH_FOLDERS = ("state_groundtruth_estimate0", "mocap0", "gt0")
 _log = logging.getLogger(__name__)
+_Load = Callable[[Path], Document]
 
 
 def gather_euroc(path: Path, calibration: Path | None, mode: Mode) -> RecordingContents:
@@ -132,12 +134,12 @@ def _imu(
 ) -> FileImu:
     sensor = table.parent / "sensor.yaml"
 
-    given = imu_of(calibration)
+    given, load = imu_of(calibration), cache(load_document)
 
     def find_extrinsics() -> Floats | None:
         if given.cam0_from_imu is not None:
             return given.cam0_from_imu
-        body_from_imu, body_from_cam = _body_from_imu(sensor), body_from_cam0()
+        body_from_imu, body_from_cam = _body_from_imu(sensor, load), body_from_cam0()
         if body_from_imu is None or body_from_cam is None:
             return None
         return inverse(body_from_cam) @ body_from_imu
@@ -146,27 +148,27 @@ def _imu(
         str(table),
         lambda: read_imu_table(table),
         find_extrinsics,
-        lambda: given.noise or _noise(sensor),
+        lambda: given.noise or _noise(sensor, load),
         given.time_offset_s,
     )
 
 
-def _body_from_imu(sensor: Path) -> Floats | None:
+def _body_from_imu(sensor: Path, load: _Load) -> Floats | None:
     if not sensor.is_file():
         return None
     try:
-        data = load_document(sensor).data
+        data = load(sensor).data
         return make_transform(f"{sensor}: T_BS", data["T_BS"]) if "T_BS" in data else None
     except VoError as error:
         _log.warning("pose of the inertial sensor unknown: %s", error)
         return None
 
 
-def _noise(sensor: Path) -> ImuNoise | None:
+def _noise(sensor: Path, load: _Load) -> ImuNoise | None:
     if not sensor.is_file():
         return None
     try:
-        return make_noise(str(sensor), load_document(sensor).data, NOISE_KEYS)
+        return make_noise(str(sensor), load(sensor).data, NOISE_KEYS)
     except VoError as error:
         _log.warning("noise of the inertial sensor unknown: %s", error)
         return None

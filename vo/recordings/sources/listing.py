@@ -82,10 +82,16 @@ def list_images(folder: Path) -> list[Path]:
     """The images of a folder in natural order of their names (frame2 before frame10)."""
     if not folder.is_dir():
         raise SourceError(f"folder {folder} does not exist; it should contain the images")
-    paths = [p for p in folder.iterdir() if is_image_name(p.name) and p.is_file()]
+    with os.scandir(folder) as entries:
+        paths = [folder / e.name for e in entries if is_image_name(e.name) and _is_file(e)]
     if not paths:
         raise SourceError(f"folder {folder} has no images ({' '.join(IMAGE_SUFFIXES)})")
     return sorted(paths, key=natural_key)
+
+
+def _is_file(entry: os.DirEntry[str]) -> bool:
+    """Whether it is a file, or a link to one; asks for the status of links alone."""
+    return entry.is_file(follow_symlinks=False) or Path(entry).is_file()
 
 
 def is_image_name(name: str) -> bool:
@@ -118,7 +124,9 @@ def shots_from_table(
             fields.reverse()
         if len(fields) != 2 or not fields[1]:
             raise SourceError(f"{location}: '{text}' is not a stamp and a file name")
-        files.append(inside(table.parent, folder / fields[1], location))
+        file, name = folder / fields[1], fields[1]
+        is_plain = name == os.path.basename(name) != ".."
+        files.append(file if is_plain else inside(table.parent, file, location))
         texts.append(StampText(location, fields[0]))
     shots = make_shots(parse_stamps(texts, unit, faults), files, [each.location for each in texts])
     check_existing(files, table)
@@ -140,7 +148,9 @@ def _check_order_of_names(shots: Sequence[Shot]) -> None:
     Names that count, in any other order, are doubtful, but a counter may begin again, go down, or
     a few images be late.
     """
-    stems = [Path(shot.image.name).stem for shot in shots]
+    stems = [os.path.splitext(os.path.basename(shot.image.name))[0] for shot in shots]
+    if len(set(map(len, stems))) == 1 and stems == sorted(stems):
+        return
     words = {re.sub(r"\d+", "#", stem) for stem in stems}
     if len(words) != 1 or words.pop().count("#") != 1:  # several numbers are a time, or parts
         return

@@ -73,26 +73,25 @@ _Features = tuple[Floats, "cv2.typing.MatLike | None"]
 
 
 def warn_of_halves(name: str, image: Pixels) -> None:
-    """Warn if both halves of an image show the same, as of a pair that is read as one camera."""
+    """Warn if both halves of an image show the same, as of a pair that is read as one camera.
+
+    They are beside each other in a wide image, and one above the other in a tall one.
+    """
     height, width = image.shape[:2]
     if _TALL * height < width < _WIDE * height:
         return  # of one camera, as usual
-    for where, (one, other) in (
-        ("beside each other", np.array_split(image, [width // 2], axis=1)),
-        ("one above the other", np.array_split(image, [height // 2], axis=0)),
-    ):
-        motions = _motions(_features_of(one), _features_of(other))
-        is_level = len(motions) and np.mean(np.abs(motions[:, 1]) < _LEVEL_PX) > _MOSTLY
-        if len(motions) >= 2 * _MIN_MATCHES and is_level:
-            advice = "`side_by_side` reads them" if where.startswith("beside") else "crop them"
-            _log.warning(
-                "%s: images seem to have those of a stereo pair %s, which are read as one: %s",
-                name,
-                where,
-                advice,
-                extra=warning_kind("calibration"),
-            )
-            return
+    is_wide = width > height
+    one, other = np.array_split(image, [(width if is_wide else height) // 2], axis=int(is_wide))
+    motions = _motions(_features_of(one), _features_of(other))
+    is_level = len(motions) and np.mean(np.abs(motions[:, 1]) < _LEVEL_PX) > _MOSTLY
+    if len(motions) >= 2 * _MIN_MATCHES and is_level:
+        _log.warning(
+            "%s: images seem to have those of a stereo pair %s, which are read as one: %s",
+            name,
+            "beside each other" if is_wide else "one above the other",
+            "`side_by_side` reads them" if is_wide else "crop them",
+            extra=warning_kind("calibration"),
+        )
 
 
 def warn_of_turns(images: Sequence[Path]) -> None:
