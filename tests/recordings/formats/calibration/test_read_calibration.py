@@ -11,7 +11,7 @@ from vo.base.errors import CalibrationError, OutputError
 from vo.base.geometry.rectification import rectified_rig
 from vo.base.geometry.transforms import se3_exp
 from vo.base.types import Camera, Rig
-from vo.recordings.formats.calibration import FORMATS, read_calibration, write_calibration
+from vo.recordings.formats.calibration import FORMATS, document, read_calibration, write_calibration
 from vo.recordings.formats.calibration.lenses import COUNTS, DISTORTION_NAMES
 
 _ROOT = Path(__file__).parents[4]
@@ -369,6 +369,11 @@ def test_kitti(tmp_path: Path) -> None:
     assert (rig.cam0.width, rig.cam0.height, rig.cam0.fx) == (1226, 370, 707.0912)
     assert rig.cam1_from_cam0 is not None
     assert rig.cam1_from_cam0[0, 3] == pytest.approx(-0.537150653267924, abs=1e-12)
+
+
+def test_kitti_is_not_parsed_as_yaml(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(document, "sections_of", None)
+    assert read_calibration(_file(tmp_path, KITTI, "calib.txt"), (1226, 370)).kind == "KITTI"
 
 
 def test_kitti_with_one_camera(tmp_path: Path) -> None:

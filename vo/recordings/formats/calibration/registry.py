@@ -109,7 +109,7 @@ def calibration_format(path: Path | str) -> str | None:
 def _load(path: Path) -> Document:
     """The document, or the camera chain that settings of OpenVINS name."""
     document = load_document(path)
-    chain = document.data.get(_OPENVINS_CHAIN)
+    chain = document.data.get(_OPENVINS_CHAIN) if _OPENVINS_CHAIN in document.text else None
     if chain is None:
         return document
     beside = path.parent / str(chain)
