@@ -192,7 +192,7 @@ def _use_screening() -> None:
     place = Place(*of_path, descriptor, landmarks, _image(_texture(), 0.0))
     camera = next(_rigs()).cam0
     Screening(built_in_vocabulary(), scale_factor=1.44).passes(place, place, camera)
-    LandmarkSearch(1.44).by_relation(keyframe_pair(place, [place], camera), np.eye(4))
+    LandmarkSearch(1.44).by_relation(keyframe_pair(place, [place], camera), np.eye(4), 1.0)
 
 
 def _use_poses() -> None:

@@ -26,7 +26,6 @@ from vo.engine.loop_verification.relation import LandmarkPairs, pair_errors
 from vo.engine.mapping.octaves import predicted_octave
 from vo.engine.places.records import Place
 
-MAX_NEAR = 100.0  # squared errors that a better relation may make small
 _SEARCH_RATIO, _MIN_SEARCH_PX = 0.012, 5.0  # radius around predicted positions
 _MIN_CORRELATION = 0.6
 # Observations of two visits are of different landmarks at the same corner.
@@ -67,17 +66,15 @@ def keyframe_pair(
 
 
 class FoundLandmarks(NamedTuple):
-    """Earlier landmarks (n,) found in the later keyframe, and correlation of patches."""
+    """Earlier landmarks (n,) found in the later keyframe."""
 
     earlier: Ints
     later: Ints
     pairs: LandmarkPairs
-    correlation: Floats
 
     def select(self, chosen: Bools) -> FoundLandmarks:
         """Some of the landmarks."""
-        rest = self.pairs.select(chosen), self.correlation[chosen]
-        return FoundLandmarks(self.earlier[chosen], self.later[chosen], *rest)
+        return FoundLandmarks(self.earlier[chosen], self.later[chosen], self.pairs.select(chosen))
 
 
 class LandmarkSearch:
@@ -108,8 +105,13 @@ class LandmarkSearch:
         kept = agree_in_rotation(pair.earlier.angle[rows], pair.later.angle[matched[rows]])
         return self._pairs(pair, rows[kept], matched[rows[kept]])
 
-    def by_relation(self, pair: KeyframePair, earlier_from_later: Floats) -> FoundLandmarks:
-        """Earlier landmarks found in the later image near where a relation predicts them."""
+    def by_relation(
+        self, pair: KeyframePair, earlier_from_later: Floats, max_squared: float
+    ) -> FoundLandmarks:
+        """Earlier landmarks found in the later image near where a relation predicts them.
+
+        Their patches correlate, and their squared errors are below a limit.
+        """
         earlier, later = pair.earlier, pair.later
         view = in_view(sim3.inverse(earlier_from_later), earlier.xyz, *pair.cameras)
         query = FeatureSet(
@@ -119,21 +121,17 @@ class LandmarkSearch:
             earlier.descriptor[view.rows],
         )
         radius = max(_SEARCH_RATIO * pair.cameras[1].width, _MIN_SEARCH_PX)
+        circles = Circles(np.full(len(query), radius))
         matches = self._matcher.match(
-            query,
-            _features(later),
-            Circles(np.full(len(query), radius)),
-            ratio=1.0,
-            check_rotation=False,
+            query, _features(later), circles, ratio=1.0, check_rotation=False
         )
         rows, later_rows = view.rows[matches.query], matches.train
-        pairs = self._pairs(pair, rows, later_rows)
+        found = FoundLandmarks(rows, later_rows, self._pairs(pair, rows, later_rows))
         # Patches are compared only where positions may agree.
-        near = pair_errors(earlier_from_later, pairs, pair.intrinsics) < MAX_NEAR
-        rows, later_rows = rows[near], later_rows[near]
-        warp = self._warps(pair, earlier_from_later, rows, later_rows)
-        correlation = patch_correlation(earlier.patch[rows], later.patch[later_rows], warp)
-        return FoundLandmarks(rows, later_rows, pairs.select(near), correlation)
+        found = agreeing(pair, found, earlier_from_later, max_squared)
+        warp = self._warps(pair, earlier_from_later, found.earlier, found.later)
+        patches = earlier.patch[found.earlier], later.patch[found.later]
+        return found.select(patch_correlation(*patches, warp) > _MIN_CORRELATION)
 
     def _pairs(self, pair: KeyframePair, rows: Ints, later_rows: Ints) -> LandmarkPairs:
         earlier, later = pair.earlier, pair.later
@@ -165,9 +163,8 @@ class LandmarkSearch:
 def agreeing(
     pair: KeyframePair, found: FoundLandmarks, earlier_from_later: Floats, max_squared: float
 ) -> FoundLandmarks:
-    """The landmarks found whose patches correlate, and whose squared errors are below a limit."""
-    squared = pair_errors(earlier_from_later, found.pairs, pair.intrinsics)
-    return found.select((squared < max_squared) & (found.correlation > _MIN_CORRELATION))
+    """The landmarks found whose squared errors are below a limit."""
+    return found.select(pair_errors(earlier_from_later, found.pairs, pair.intrinsics) < max_squared)
 
 
 def _features(landmarks: MergedLandmarks, count: int | None = None) -> FeatureSet:

@@ -14,7 +14,6 @@ from vo.base.types import Camera, Floats
 from vo.engine.geometry import sim3
 from vo.engine.loop_verification.image_comparison import compare_images
 from vo.engine.loop_verification.landmark_search import (
-    MAX_NEAR,
     FoundLandmarks,
     KeyframePair,
     LandmarkSearch,
@@ -35,6 +34,7 @@ _MIN_MATCHES = 15
 _MAX_COMPARED = 600  # landmarks of neighbours, by descriptor, where the keyframe has fewer
 _MIN_SAMPLED = 12  # pairs that agree with a sampled relation
 _MAX_SQUARED = 9.2  # squared errors that one true pair in 100 exceeds
+_MAX_NEAR = 100.0  # ... and that a better relation may make small
 _MIN_INLIERS = 25
 _CELLS, _MIN_AREA = 4, 0.3  # cells along each side of the image, and the ratio with inliers
 # Ratio of the landmarks in view of both keyframes that are inliers. Each pass chooses landmarks of
@@ -163,11 +163,10 @@ class LoopVerifier:
         """Search by the relation and refine it, twice; the result, and its inliers."""
         relation = Relation(guess, np.zeros((7, 7)))
         for _ in range(2):
-            found = self._search.by_relation(pair, relation.earlier_from_later)
-            near = agreeing(pair, found, relation.earlier_from_later, MAX_NEAR)
-            if len(near.later) < _MIN_SAMPLED:
+            found = self._search.by_relation(pair, relation.earlier_from_later, _MAX_NEAR)
+            if len(found.later) < _MIN_SAMPLED:
                 break
-            relation = _refined(pair, relation.earlier_from_later, near.pairs)
+            relation = _refined(pair, relation.earlier_from_later, found.pairs)
         return relation, agreeing(pair, found, relation.earlier_from_later, _MAX_SQUARED)
 
     def _is_supported(
@@ -178,8 +177,7 @@ class LoopVerifier:
         other = replace(pair, later=merge_landmarks([before]))
         if other.later.own < _MIN_LANDMARKS:
             return False
-        found = self._search.by_relation(other, moved)
-        return len(agreeing(other, found, moved, _MAX_SQUARED).later) >= _MIN_SUPPORT
+        return len(self._search.by_relation(other, moved, _MAX_SQUARED).later) >= _MIN_SUPPORT
 
 
 def _refined(pair: KeyframePair, relation: Floats, pairs: LandmarkPairs) -> Relation:

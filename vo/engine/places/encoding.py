@@ -40,14 +40,14 @@ def encode_place(place: Place) -> bytes:
     """A stored keyframe as bytes."""
     arrays = {name: getattr(place, name) for name in _PLACE_ARRAYS}
     arrays |= {f"landmarks.{n}": getattr(place.landmarks, n) for n in _LANDMARK_ARRAYS}
-    parts, listed, offset = [], [], 0
+    parts, listed, offset = list[Any](), list[Any](), 0
     for name, array in arrays.items():
         dtype = _dtype_of(name) or array.dtype.newbyteorder("<").str
-        data = np.ascontiguousarray(array, dtype).tobytes()
+        data = np.ascontiguousarray(array, dtype)
         listed.append([name, dtype, list(array.shape), offset])
-        padding = -len(data) % _ALIGNMENT
-        parts.append(data + bytes(padding))
-        offset += len(data) + padding
+        padding = -data.nbytes % _ALIGNMENT
+        parts += [data, bytes(padding)]
+        offset += data.nbytes + padding
     frame = place.frame
     header = json.dumps(
         {
