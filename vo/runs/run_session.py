@@ -206,8 +206,9 @@ class RunSession:
         with clock.stage("write"):
             self._apply_scale()
             self._finish_files()
-            self._summarise("interrupted")  # of the same frames as the tables, if it is killed now
-            self._save_map()
+            if self._options.save_map is not None:
+                self._summarise("interrupted")  # of the frames of the tables, if it is killed now
+                self._save_map()
             self._summarise("finished")  # the path is complete, whatever happens to recordings
         with clock.stage("record"):
             self._finish_recording()
@@ -368,8 +369,7 @@ class RunSession:
 
     def _profile(self) -> Profile | None:
         """Profile of the run until now."""
-        since = self._options.profile_since
-        if since is None:
+        if (since := self._options.profile_since) is None:
             return None
         wall_ms = (time.perf_counter() - since) * 1e3
         return make_profile(wall_ms, {"start-up": self._start_up_ms, **self._statistics.total_ms()})

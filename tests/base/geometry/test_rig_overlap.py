@@ -32,7 +32,7 @@ def test_neighbours_of_the_car_overlap_and_no_others() -> None:
 
 
 def test_cameras_back_to_back_have_nothing_in_common() -> None:
-    assert overlaps(load_rig("drone")) == []
+    assert overlaps(load_rig("drone")) == ()
 
 
 def test_a_camera_sees_what_is_in_its_image() -> None:

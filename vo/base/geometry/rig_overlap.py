@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -46,7 +47,8 @@ def overlap_ratios(rig: Rig) -> Floats:
     return ratios
 
 
-def overlaps(rig: Rig) -> list[Overlap]:
+@lru_cache(maxsize=8)  # a run asks eight times, which takes 7 ms
+def overlaps(rig: Rig) -> tuple[Overlap, ...]:
     """Pairs of cameras that have 3 % of their images in common, most first."""
     poses = rig.cam0_from_cams
     ratios = overlap_ratios(rig)
@@ -57,7 +59,7 @@ def overlaps(rig: Rig) -> list[Overlap]:
         for j in range(i + 1, len(poses))
         if both[i, j] >= _MIN_RATIO
     ]
-    return sorted(found, key=lambda each: -each.ratio)
+    return tuple(sorted(found, key=lambda each: -each.ratio))
 
 
 def is_rig(rig: Rig) -> bool:
