@@ -10,7 +10,6 @@ from collections import deque
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from vo.base.failures import ImageDefect
 from vo.base.faults import Fault, FaultKind
@@ -76,16 +75,16 @@ def size_faults(pixels: int) -> tuple[Fault, ...]:
 
 def share_of_combs(image: Bytes) -> float:
     """Share of the pixels of an (H, W) image in combs of an interlaced one, 0 if it is not."""
-    columns = np.ascontiguousarray(image[:, _STEP // 2 :: _STEP]).astype(np.int16)
+    columns = np.ascontiguousarray(image[:, _STEP // 2 :: _STEP])
     combs = _alternating(columns)
     if combs <= _MIN_SHARE:
         return 0.0
-    rows = np.ascontiguousarray(image[_STEP // 2 :: _STEP].T).astype(np.int16)
+    rows = np.ascontiguousarray(image[_STEP // 2 :: _STEP].T)
     patterns = max(_alternating(columns[::2]), _alternating(rows))
     return combs if combs > _MIN_SHARE + _MIN_RATIO * patterns else 0.0
 
 
-def _alternating(grey: NDArray[np.int16]) -> float:
+def _alternating(grey: Bytes) -> float:
     """Share of pixels of (N, M) whose neighbours in the first axis are alternately light and dark.
 
     Five in a row: each of the middle three differs from both of its neighbours in the same
@@ -93,11 +92,10 @@ def _alternating(grey: NDArray[np.int16]) -> float:
     """
     if len(grey) < 5 or grey.shape[1] == 0:
         return 0.0
-    step = grey[1:] - grey[:-1]
-    contrast = np.abs(step)
-    least = np.maximum(2 * np.abs(grey[2:] - grey[:-2]), _MIN_CONTRAST)
-    is_extreme = (step[1:] > 0) != (step[:-1] > 0)
-    is_extreme &= np.minimum(contrast[1:], contrast[:-1]) > least
+    contrast, other = cv2.absdiff(grey[1:], grey[:-1]), cv2.absdiff(grey[2:], grey[:-2])
+    least, is_up = cv2.min(contrast[1:], contrast[:-1]), grey[1:] > grey[:-1]
+    is_extreme = (is_up[1:] != is_up[:-1]) & (least > _MIN_CONTRAST)
+    is_extreme &= cv2.subtract(least, other) > other  # a byte: at least 0, which is no more
     return float((is_extreme[2:] & is_extreme[1:-1] & is_extreme[:-2]).mean())
 
 

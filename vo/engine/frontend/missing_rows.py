@@ -42,7 +42,7 @@ class MissingRows:
 def _band(image: Bytes) -> int:
     """Number of rows from the first one on of an (H, W) image that have its first pixel's grey."""
     grey = image[0, 0]
-    if grey == _WHITE or (image[0] != grey).any():
+    if grey != image[0, -1] or grey == _WHITE or (image[0] != grey).any():
         return 0
     other = (image != grey).any(axis=1)
     return int(np.argmax(other)) if other.any() else len(image)
