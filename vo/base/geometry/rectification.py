@@ -14,6 +14,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.frozen import frozen
 from vo.base.geometry import cameras
 from vo.base.geometry.pair_rectification import central_focal, check_baseline, is_wide, rectify_pair
@@ -123,6 +124,10 @@ class RectifiedRig:
         ideal = Camera(*size, *self.intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
         return self.lens or ideal
 
+    @property
+    def _disparity_model(self) -> tuple[float, ...]:
+        return self.cx, self.fx, float(self.disparity_offset_px), float(self.disparity_curve_px)
+
     def disparity_error(self, right_u: Floats) -> Floats:
         """Errors (N,) of disparities at horizontal positions (N,) in the right image, in pixels."""
         x = (right_u - self.cx) / self.fx
@@ -130,17 +135,16 @@ class RectifiedRig:
 
     def ideal_disparity(self, xy: Floats, right_xy: Floats) -> Floats:
         """Disparities (N,) of left pixels (N, 2) and right ones, their known errors corrected."""
-        disparity = xy[:, 0] - right_xy[:, 0] - self.disparity_error(right_xy[:, 0])
         if self.lens is None:
-            return np.asarray(disparity)
+            return np.asarray(_ideal_disparity(xy, right_xy, *self._disparity_model))
+        disparity = xy[:, 0] - right_xy[:, 0] - self.disparity_error(right_xy[:, 0])
         lens = self.undistort(xy) - xy - (self.undistort(right_xy) - right_xy)
         return np.asarray(disparity + lens[:, 0])
 
     def right_pixels(self, xy: Floats, disparity: Floats) -> Floats:
         """Pixels (N, 2) in the right image, of left ones (N, 2) with ideal disparities (N,)."""
         if self.lens is None:
-            shift = disparity + self.disparity_error(xy[:, 0] - disparity)
-            return np.asarray(xy - np.column_stack([shift, np.zeros(len(shift))]))
+            return np.asarray(_right_pixels(xy, disparity, *self._disparity_model))
         ideal = self.undistort(xy)
         right_xy = self.distort(np.column_stack([ideal[:, 0] - disparity, ideal[:, 1]]))
         right_xy[:, 0] -= self.disparity_error(right_xy[:, 0])
@@ -173,6 +177,25 @@ class RectifiedRig:
         """Points (N, 3) in the rectified camera's frame at undistorted pixels and depths (N,)."""
         rays = (xy - (self.cx, self.cy)) / (self.fx, self.fy)
         return np.column_stack([rays * depth[:, None], depth])
+
+
+# As `RectifiedRig.disparity_error` in one call for a frame instead of a dozen.
+@compiled
+def _ideal_disparity(xy, right_xy, cx, fx, offset, curve):  # type: ignore[no-untyped-def]
+    disparity = np.empty(len(xy))
+    for n in range(len(xy)):
+        x = (right_xy[n, 0] - cx) / fx
+        disparity[n] = xy[n, 0] - right_xy[n, 0] - (offset + curve * (x * x))
+    return disparity
+
+
+@compiled
+def _right_pixels(xy, disparity, cx, fx, offset, curve):  # type: ignore[no-untyped-def]
+    right_xy = xy.copy()
+    for n in range(len(xy)):
+        x = (xy[n, 0] - disparity[n] - cx) / fx
+        right_xy[n, 0] -= disparity[n] + (offset + curve * (x * x))
+    return right_xy
 
 
 def rectified_rig(rig: Rig) -> RectifiedRig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.config import StereoConfig
 from vo.base.geometry.rectification import RectifiedRig
 from vo.base.types import Floats, Floats32, Ints
@@ -107,13 +108,14 @@ class StereoMatcher:
         shear = None if slope is None else left_from_right(guess, slope)
         found = self._patches.align(patches_of(image0, xy, shear), image1, start)
         disparity = rig.ideal_disparity(xy, found.xy)
-        good = self._patches.is_found(found)
-        good &= np.abs(found.xy[:, 1] - xy[:, 1]) <= self._config.max_row_offset_px
-        max_change = np.maximum(_MAX_CHANGE_PX, _MAX_CHANGE_RATIO * guess)
-        good &= (disparity > 0) & (np.abs(disparity - guess) <= max_change)
+        is_similar = self._patches.is_similar(found)
+        limits = self._config.max_row_offset_px, _MAX_CHANGE_PX, _MAX_CHANGE_RATIO
+        measured = _accepted(disparity, guess, xy, found.xy, found.converged, is_similar, limits)
         if mask is not None:
-            good[good] = used_at(mask, found.xy[good])
-        return np.where(good, disparity, np.nan)
+            known = np.flatnonzero(~np.isnan(measured))
+            hidden = known[~used_at(mask, found.xy[known])]
+            measured[hidden] = np.nan
+        return np.asarray(measured)
 
     def _fill_from_neighbours(
         self, disparity: Floats, xy: Floats, frame: PreprocessedFrame, rig: RectifiedRig
@@ -139,6 +141,23 @@ class StereoMatcher:
         measured = disparity.copy()
         measured[known] = np.where(np.isnan(again), guess, again)
         return measured
+
+
+@compiled
+def _accepted(disparity, guess, xy, found_xy, converged, similar, limits):  # type: ignore[no-untyped-def]
+    """Disparities (n,), NaN where the patch was not found near to where it should be."""
+    max_row_offset, max_change, max_change_ratio = limits
+    accepted = np.full(len(disparity), np.nan)
+    for n in range(len(disparity)):
+        if not (converged[n] and similar[n] and disparity[n] > 0.0):
+            continue
+        change, farthest = (
+            abs(disparity[n] - guess[n]),
+            max(max_change, max_change_ratio * guess[n]),
+        )
+        if change <= farthest and abs(found_xy[n, 1] - xy[n, 1]) <= max_row_offset:
+            accepted[n] = disparity[n]
+    return accepted
 
 
 # Maximum ratio of the largest to the smallest depth around a pixel; a larger one is an edge.

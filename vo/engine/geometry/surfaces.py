@@ -65,11 +65,17 @@ def left_from_right(disparity: Floats, slope: Floats) -> Floats:
         slope: (N, 2) relative gradient of inverse depth in the left image, equal to that of
             disparity, 1/px.
     """
-    stretch = 1.0 / np.minimum(np.maximum(1.0 - disparity * slope[:, 0], 0.5), 2.0)
+    return np.asarray(_left_from_right(disparity, slope))
+
+
+@compiled
+def _left_from_right(disparity, slope):  # type: ignore[no-untyped-def]
     back = np.zeros((len(disparity), 2, 2))
-    back[:, 0, 0] = stretch
-    back[:, 0, 1] = np.minimum(np.maximum(disparity * slope[:, 1], -1.5), 1.5) * stretch
-    back[:, 1, 1] = 1.0
+    for n in range(len(disparity)):
+        shrink, shear = 1.0 - disparity[n] * slope[n, 0], disparity[n] * slope[n, 1]
+        back[n, 0, 0] = 1.0 / min(max(shrink, 0.5), 2.0)
+        back[n, 0, 1] = min(max(shear, -1.5), 1.5) * back[n, 0, 0]
+        back[n, 1, 1] = 1.0
     return back
 
 

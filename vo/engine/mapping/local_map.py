@@ -228,10 +228,10 @@ class LocalMap:
         for keyframe in self.keyframes:
             keyframe.keep_observations(kept[keyframe.landmark - first])
 
-    def reference_slots(self) -> Ints:
-        """(M,) indices in `images` of the landmarks' reference patches."""
+    def reference_slots(self, rows: Ints | slice = slice(None)) -> Ints:
+        """Indices in `images` of the reference patches of landmarks, by default of all (M,)."""
         slots = np.array([k.slot for k in self.keyframes], dtype=np.int64)
-        return slots[self.reference - self.keyframes[0].id]
+        return slots[self.reference[rows] - self.keyframes[0].id]
 
     def set_reference(self, keyframe: Keyframe, observed: Ints, rows: Ints) -> None:
         """Take the patches of landmarks (n,), by row, from observations (n,) of a keyframe."""

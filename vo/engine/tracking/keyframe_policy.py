@@ -60,7 +60,9 @@ class KeyframePolicy:
         last = local_map.keyframes[-1]
         rows = tracked.observed.rows[tracked.inlier]
         parallax = median_parallax(
-            local_map.xyz[rows], last.world_from_cam[:3, 3], tracked.world_from_cam[:3, 3]
+            local_map.xyz.take(rows, axis=0),
+            last.world_from_cam[:3, 3],
+            tracked.world_from_cam[:3, 3],
         )
         elapsed_s = (frame.stamp_ns - last.frame.stamp_ns) * 1e-9
         last_tracked = min(len(last.landmark), self._max_tracked)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.geometry.transforms import inverse, transform_points
 from vo.base.types import Bools, Bytes, Floats, Ints
 from vo.engine.frontend.frontend import Frontend
@@ -55,28 +56,16 @@ class LandmarkAligner:
         if self.world_from_image is not None:
             targets = self.world_from_image[None], np.zeros(len(rows), np.int64)
             warp = map_homographies(self._map, rows, targets, warp, visible.xy, visible.slope)
-        slots, centre = self._map.reference_slots()[rows], self._map.reference_xy[rows]
-        references = Patches(self._map.images, slots, centre, warp)
+        slots = self._map.reference_slots(rows)
+        references = Patches(self._map.images, slots, self._map.reference_xy.take(rows, 0), warp)
         found = self._patches.align(references, frame.image0, visible.image_xy)
-        x, y = (found.xy - visible.image_xy).T
-        ideal = self._map.rig.undistort(found.xy)
-        kept = found.nearly & self._patches.is_similar(found)
-        kept &= x * x + y * y <= self._patches.max_shift_px**2
-        kept &= np.isfinite(ideal[:, 0]) & np.isfinite(ideal[:, 1])
-        converged = kept & found.converged
-        if np.count_nonzero(converged) >= _ENOUGH * self._min_inliers:
-            kept = converged
-        at = np.flatnonzero(kept)  # taking rows is several times as fast as masking them
-        return Observations(
-            rows=rows.take(at),
-            image_xy=found.xy.take(at, axis=0),
-            xy=ideal.take(at, axis=0),
-            disparity=np.full(len(at), np.nan),
-            sigma_px=self._patches.sigma_px * _relative_sigma(found.sigma_px.take(at)),
-            score=found.score.take(at),
-            scale=visible.scale.take(at),
-            slope=visible.slope.take(at, axis=0),
+        chosen = _chosen(
+            (found.xy, self._map.rig.undistort(found.xy), found.sigma_px, found.score),
+            (found.converged, found.nearly, self._patches.is_similar(found)),
+            (rows, visible.image_xy, visible.scale, visible.slope),
+            (self._patches.max_shift_px**2, _ENOUGH * self._min_inliers, self._patches.sigma_px),
         )
+        return Observations(*chosen)
 
     def with_disparity(
         self, observed: Observations, world_from_cam: Floats, frame: PreprocessedFrame
@@ -85,16 +74,41 @@ class LandmarkAligner:
         if not frame.has_disparity:
             return observed
         rig = self._map.rig
-        in_cam = transform_points(inverse(world_from_cam), self._map.xyz[observed.rows])
+        xyz = self._map.xyz.take(observed.rows, axis=0)  # several times as fast as [rows]
+        in_cam = transform_points(inverse(world_from_cam), xyz)
         guess = rig.fx * rig.baseline_m / in_cam[:, 2]
         disparity = self._stereo.measure(frame, observed.image_xy, guess, rig, observed.slope)
         return replace(observed, disparity=disparity)
 
 
-def _relative_sigma(sigma_px: Floats) -> Floats:
-    """Standard deviations (n,) of aligned positions, in units of the usual one."""
-    relative = np.minimum(sigma_px / _MEDIAN_SIGMA_PX, _MAX_SIGMA)
-    return np.asarray(np.sqrt(_CONSTANT_VARIANCE + (1.0 - _CONSTANT_VARIANCE) * relative**2))
+@compiled
+def _chosen(found, is_good, visible, limits):  # type: ignore[no-untyped-def]
+    """Observations of what was found near enough to where it should be, in the order of fields."""
+    (xy, ideal, sigma, score), (converged, nearly, similar) = found, is_good
+    (rows, expected, scale, slope), (max_squared, enough, sigma_px) = visible, limits
+    count, sure, at = 0, 0, np.empty(len(rows), dtype=np.int64)
+    for n in range(len(rows)):
+        x, y = xy[n, 0] - expected[n, 0], xy[n, 1] - expected[n, 1]
+        is_known = np.isfinite(ideal[n, 0]) and np.isfinite(ideal[n, 1])
+        if nearly[n] and similar[n] and x * x + y * y <= max_squared and is_known:
+            at[count], count, sure = n, count + 1, sure + int(converged[n])
+    only_sure = sure >= enough
+    n = sure if only_sure else count
+    ids, image_xy, ideal_xy = np.empty(n, np.int64), np.empty((n, 2)), np.empty((n, 2))
+    disparity, sigmas, scores, scales = np.full(n, np.nan), np.empty(n), np.empty(n), np.empty(n)
+    slopes = np.empty((n, 2))
+    to = 0
+    for k in at[:count]:
+        if only_sure and not converged[k]:
+            continue
+        ids[to], scores[to], scales[to] = rows[k], score[k], scale[k]
+        for m in range(2):
+            image_xy[to, m], ideal_xy[to, m], slopes[to, m] = xy[k, m], ideal[k, m], slope[k, m]
+        relative = min(sigma[k] / _MEDIAN_SIGMA_PX, _MAX_SIGMA)
+        variance = _CONSTANT_VARIANCE + (1.0 - _CONSTANT_VARIANCE) * (relative * relative)
+        sigmas[to] = sigma_px * np.sqrt(variance)
+        to += 1
+    return ids, image_xy, ideal_xy, disparity, sigmas, scores, scales, slopes
 
 
 class KltAligner(LandmarkAligner):

@@ -59,7 +59,7 @@ class PoseEstimator:
         """Refine a pose on all observations, disparities included."""
         return self._refine(
             inverse(world_from_cam),
-            self._map.xyz[observed.rows],
+            self._map.xyz.take(observed.rows, axis=0),
             observed.xy,
             observed.disparity,
             observed.sigma_px,
@@ -73,10 +73,10 @@ class PoseEstimator:
             return None
         fit = self._refine(
             inverse(tracked.world_from_cam),
-            self._map.xyz[rows[kept]],
-            observed.xy[kept],
-            observed.disparity[kept],
-            observed.sigma_px[kept],
+            self._map.xyz.take(rows.take(kept), axis=0),
+            observed.xy.take(kept, axis=0),
+            observed.disparity.take(kept),
+            observed.sigma_px.take(kept),
         )
         return inverse(fit.cam_from_world)
 

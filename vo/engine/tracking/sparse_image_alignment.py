@@ -41,7 +41,7 @@ def sparse_image_alignment(
     seen = seen[:: max(1, len(seen) // _MAX_LANDMARKS)]
     if len(seen) < _MIN_LANDMARKS:
         return None
-    points = transform_points(inverse(world_from_last), local_map.xyz[rows[seen]])
+    points = transform_points(inverse(world_from_last), local_map.xyz.take(rows[seen], axis=0))
     start = inverse(predicted) @ world_from_last
     if frame.masks[0] is not None:
         kept = _shown(transform_points(start, points), frame.masks[0], rig)

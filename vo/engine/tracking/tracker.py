@@ -366,7 +366,7 @@ class Tracker:
             if not prior.leads and prior.is_contradicted(cam_from_world, fit.information):
                 return None
             cam_from_world = prior.fused(cam_from_world, fit.information)
-        ids, pose = self._map.id[observed.rows], inverse(cam_from_world)
+        ids, pose = self._map.id.take(observed.rows), inverse(cam_from_world)
         information = fit.information if prior is None else None
         return TrackedFrame(pose, ids, observed, fit.inlier, in_view, velocity, information)
 
