@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import re
-import statistics
 from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from pathlib import Path
@@ -209,8 +208,8 @@ def check_increasing(shots: Sequence[Shot]) -> None:
 def median_interval_ns(stamps_ns: Sequence[int]) -> int:
     """Median interval between consecutive stamps; 0 for fewer than two."""
     ordered = sorted(stamps_ns)
-    steps = [b - a for a, b in zip(ordered, ordered[1:], strict=False)]
-    return int(statistics.median_low(steps)) if steps else 0
+    steps = sorted(b - a for a, b in zip(ordered, ordered[1:], strict=False))
+    return int(steps[(len(steps) - 1) // 2]) if steps else 0
 
 
 def shots_from_names(
