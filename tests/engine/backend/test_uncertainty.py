@@ -112,6 +112,19 @@ def _information(rng: np.random.Generator, poses: int) -> Floats:
     return np.asarray(root @ root.T)
 
 
+def test_information_on_fixed_poses_alone_is_not_needed_where_they_are_known() -> None:
+    problem = drive(stereo=True, fixed=3).with_guess(size=0.02).problem
+    every = solve(problem, CONFIG)
+    needed = solve(replace(problem, is_fixed_known=True), CONFIG)
+    fixed = np.repeat(problem.fixed, 6)
+    alone = fixed[:, None] & fixed
+    assert np.abs(every.information[alone]).max() > 0.0
+    np.testing.assert_array_equal(needed.information, np.where(alone, 0.0, every.information))
+    known = np.zeros_like(every.information)
+    found = (propagated(each.information, each.held, known) for each in (every, needed))
+    np.testing.assert_array_equal(*found)
+
+
 def test_a_chain_of_windows_gives_the_covariance_of_one_large_one() -> None:
     """Each window sees what binds its newest pose to the two before it, and nothing else."""
     rng = np.random.default_rng(2)

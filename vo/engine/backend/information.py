@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vo.base.types import Floats, Ints
-from vo.engine.backend import block_kernels
+from vo.base.types import Bools, Floats, Ints
+from vo.engine.backend import information_kernels
 from vo.engine.backend.block_matrix import assembled
 from vo.engine.backend.linearisation import Linearised
 
@@ -40,17 +40,21 @@ class ErrorModel(NamedTuple):
 OF_PATCHES = ErrorModel(white=0.1, creep=0.2, disparity=0.25, disparity_bias=0.25)
 
 
-def pose_information(linear: Linearised, scale: float, model: ErrorModel = OF_PATCHES) -> Floats:
+def pose_information(
+    linear: Linearised, scale: float, model: ErrorModel = OF_PATCHES, wanted: Bools | None = None
+) -> Floats:
     """(6 K, 6 K) information on K poses, for covariances `scale` times those of the model.
 
-    Points are eliminated by the Schur complement. 0 for poses with too few observations.
+    Points are eliminated by the Schur complement. 0 for poses with too few observations, and
+    between two poses that are not `wanted` (K,).
 
     Source: Triggs et al., "Bundle Adjustment", 2000, sec. 6.1; of correlated observations
     generalised least squares (Aitken 1935).
     """
     count = linear.poses
     row, place = count * np.arange(count), np.arange(count)
-    information = assembled(information_blocks(linear, row, place, model), row, 0, count, count)
+    blocks = information_blocks(linear, row, place, model, wanted)
+    information = assembled(blocks, row, 0, count, count)
     unknown = np.repeat(linear.seen < MIN_OBSERVATIONS, 6)
     information[unknown] = 0.0
     information[:, unknown] = 0.0
@@ -58,17 +62,22 @@ def pose_information(linear: Linearised, scale: float, model: ErrorModel = OF_PA
 
 
 def information_blocks(
-    linear: Linearised, row: Ints, place: Ints, model: ErrorModel = OF_PATCHES
+    linear: Linearised,
+    row: Ints,
+    place: Ints,
+    model: ErrorModel = OF_PATCHES,
+    wanted: Bools | None = None,
 ) -> Floats:
     """Its blocks, of scale 1; `place`: (K,) rows of the poses in the matrix."""
     return np.asarray(
-        block_kernels.eliminated(
+        information_kernels.eliminated(
             row,
             place,
             linear.starts,
             linear.keyframe,
             linear.by_pose,
             linear.by_point,
+            np.ones(linear.poses, dtype=bool) if wanted is None else wanted,
             *(sigma**2 for sigma in model),
         )
     )

@@ -141,8 +141,12 @@ class SlidingWindow:
         chosen = choose_landmarks(whole, self._size.landmarks)
         problem, rows = _restricted(whole, chosen)
         factors = [f for source in self._factor_sources for f in source.factors(keyframes)]
+        known = [keyframe.covariance is not None for keyframe in keyframes[: len(keyframes) - free]]
         problem = replace(
-            problem, estimates_calibration=calibration_weight > 0, factors=tuple(factors)
+            problem,
+            estimates_calibration=calibration_weight > 0,
+            factors=tuple(factors),
+            is_fixed_known=all(known),
         )
         return Window(problem, keyframes, self._map.id[rows], calibration_weight)
 

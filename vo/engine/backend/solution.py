@@ -108,14 +108,15 @@ def information_by_images(
     ok: Bools,
     config: SmoothingConfig,
     at: Residuals | None = None,
+    wanted: Bools | None = None,
 ) -> Floats:
     """(6 K, 6 K) of the observations on all poses, with the noise that their residuals show.
 
-    `at`: the residuals there, if they are known.
+    `at`: the residuals there, if they are known; `wanted`: see `pose_information`.
     """
     at = at or residuals(problem, poses, points)
     linear = linearise(problem, poses, points, ok, config, at)
-    return pose_information(linear, _scale(at, ok[problem.point], config))
+    return pose_information(linear, _scale(at, ok[problem.point], config), wanted=wanted)
 
 
 def blocks_by_images(
@@ -149,7 +150,10 @@ def _information(
     problem: WindowProblem, adjusted: AdjustedWindow, config: SmoothingConfig
 ) -> Floats:
     poses, points, ok = adjusted.world_from_cam, adjusted.points, adjusted.point_ok
-    information = information_by_images(problem, poses, points, ok, config, adjusted.residuals)
+    wanted = ~problem.fixed if problem.is_fixed_known else None
+    information = information_by_images(
+        problem, poses, points, ok, config, adjusted.residuals, wanted
+    )
     _, scaled, sigmas = adjusted.gauge
     if scaled is not None:
         rows = np.arange(6 * scaled, 6 * scaled + 6)

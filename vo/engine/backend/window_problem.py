@@ -67,6 +67,8 @@ class WindowProblem:
         xy: (N, 2) ideal pixels.
         disparity: (N,) pixels, NaN without a measurement.
         sigma_px: (N,) standard deviation of xy.
+        is_fixed_known: whether the fixed poses have covariances: information on them alone is not
+            needed.
     """
 
     intrinsics: Intrinsics
@@ -83,6 +85,7 @@ class WindowProblem:
     estimates_calibration: bool = True
     factors: tuple[WindowFactor, ...] = ()
     ties: Ties | None = None
+    is_fixed_known: bool = False
 
     def select(self, chosen: Ints) -> WindowProblem:
         """The same with some of the observations, in this order."""
