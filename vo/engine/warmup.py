@@ -196,7 +196,8 @@ def _use_screening() -> None:
 
 
 def _use_poses() -> None:
-    """Call what the pose of each frame needs, for a camera that stands still."""
+    """Call what the pose of each frame and a lens need, for a camera that stands still."""
+    from vo.engine.backend.lens_adjustment import Lens, undistorted
     from vo.engine.geometry.patch_prediction import predict_patches
     from vo.engine.geometry.pnp import refine_pose
     from vo.engine.geometry.surfaces import inverse_depth_slopes
@@ -207,6 +208,7 @@ def _use_poses() -> None:
     seen = PixelObservations(xyz[:, :2] * _FOCAL_PX, ones, ones, 1.0)
     refine_pose(np.eye(4), xyz, seen, intrinsics, _FOCAL_PX)
     inverse_depth_slopes(xyz[:, :2], ones, rows)
+    undistorted(xyz[:, :2], Lens(_FOCAL_PX, 0.0, 0.0))
     predict_patches(xyz, xyz, first, rows, first, np.eye(4)[None], intrinsics)
 
 

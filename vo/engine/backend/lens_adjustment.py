@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.quantiles import median
@@ -236,21 +237,39 @@ def _problem(at: AdjustedLens, sigma: Floats) -> WindowProblem:
 
 def undistorted(xy: Floats, lens: Lens) -> tuple[Floats, Floats]:
     """Ideal pixels (N, 2), and how much larger they are there than recorded ones, (N,)."""
-    centre = np.array([lens.cx, lens.cy])
-    off = (xy - centre) / lens.focal
-    distorted = np.hypot(off[:, 0], off[:, 1])
-    radius = distorted.copy()
+    ideal, larger = _undistorted(np.ascontiguousarray(xy), lens)
+    return ideal, larger
+
+
+@compiled(error_model="numpy")
+def _undistorted(xy, lens):  # type: ignore[no-untyped-def]
+    """See `undistorted`; all pixels take the same steps."""
+    ideal, larger = np.empty_like(xy), np.empty(len(xy))
+    distorted, radius = np.empty(len(xy)), np.empty(len(xy))
+    slope, error = np.empty(len(xy)), np.empty(len(xy))
+    for n in range(len(xy)):
+        x, y = (xy[n, 0] - lens.cx) / lens.focal, (xy[n, 1] - lens.cy) / lens.focal
+        ideal[n, 0], ideal[n, 1] = x, y
+        distorted[n] = radius[n] = np.hypot(x, y)
     for _ in range(20):  # Newton, mostly six steps
-        square = radius * radius
-        slope = np.maximum(1.0 + square * (3.0 * lens.k1 + 5.0 * lens.k2 * square), _MIN_SLOPE)
-        error = radius * (1.0 + square * (lens.k1 + lens.k2 * square)) - distorted
-        radius = np.clip(radius - error / slope, 0.0, 10.0)
-        if np.abs(error).max(initial=0.0) < _EXACT:
+        coarse = 0
+        for n in range(len(xy)):
+            square = radius[n] * radius[n]
+            steep = 1.0 + square * (3.0 * lens.k1 + 5.0 * lens.k2 * square)
+            slope[n] = max(steep, _MIN_SLOPE)
+            error[n] = radius[n] * (1.0 + square * (lens.k1 + lens.k2 * square)) - distorted[n]
+            radius[n] = min(max(radius[n] - error[n] / slope[n], 0.0), 10.0)
+            coarse += not abs(error[n]) < _EXACT
+        if coarse == 0:
             break
-    stretch = np.where(distorted > 1e-9, radius / np.maximum(distorted, 1e-9), 1.0)
-    is_undone = (slope > _MIN_SLOPE) & (np.abs(error) < 1e-6)
-    larger = np.where(is_undone, np.sqrt(stretch / slope), _HARDLY)  # along and across the radius
-    return centre + lens.focal * off * stretch[:, None], larger
+    for n in range(len(xy)):
+        stretch = radius[n] / distorted[n] if distorted[n] > 1e-9 else 1.0
+        is_undone = slope[n] > _MIN_SLOPE and abs(error[n]) < 1e-6
+        # Along and across the radius.
+        larger[n] = np.sqrt(stretch / slope[n]) if is_undone else _HARDLY
+        ideal[n, 0] = lens.cx + lens.focal * ideal[n, 0] * stretch
+        ideal[n, 1] = lens.cy + lens.focal * ideal[n, 1] * stretch
+    return ideal, larger
 
 
 def _all_ok(views: KeyframeViews) -> Bools:

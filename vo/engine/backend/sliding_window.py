@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.config import SmoothingConfig
 from vo.base.frozen import frozen
 from vo.base.geometry.transforms import inverse, orthonormalised
@@ -194,10 +195,8 @@ class SlidingWindow:
         """Move landmarks with the keyframes of their patches, whose poses were `before`."""
         local_map = self._map
         motion = local_map.poses @ inverse(before)
-        rows = np.flatnonzero(mask)
-        by = motion[local_map.reference[rows] - local_map.keyframes[0].id]
-        rotated = np.einsum("nij,nj->ni", by[:, :3, :3], local_map.xyz[rows])
-        local_map.xyz[rows] = rotated + by[:, :3, 3]
+        by = local_map.reference - local_map.keyframes[0].id
+        _move_each(local_map.xyz, mask, motion, by)
 
     def _map_problem(self, fixed: Bools) -> WindowProblem:
         """All keyframes, landmarks and observations; its points are the map's rows."""
@@ -239,6 +238,17 @@ class SlidingWindow:
             end = begin + len(keyframe.landmark)
             keyframe.keep_observations(~removed[begin:end])
             begin = end
+
+
+@compiled
+def _move_each(points, mask, motion, by):  # type: ignore[no-untyped-def]
+    """Transform the points of a mask (M,), in place, each by the motion of its row (M,)."""
+    for n in range(len(points)):
+        if mask[n]:
+            t = motion[by[n]]
+            x, y, z = points[n]
+            for i in range(3):  # sums in the order in which numpy adds them
+                points[n, i] = t[i, 0] * x + t[i, 2] * z + t[i, 1] * y + t[i, 3]
 
 
 def _restricted(problem: WindowProblem, chosen: Bools) -> tuple[WindowProblem, Ints]:
