@@ -221,7 +221,7 @@ class ImageFixedDetector:
             return
         if self._standing < _LONG and is_scene(never, self._points, self._baseline_px):
             return
-        self.found = ImageFixed(None, float(np.mean(never)), is_ambiguous=True, finds=self._finds)
+        self.found = ImageFixed(None, _share(never), is_ambiguous=True, finds=self._finds)
 
     def _has_kept_still(self, places: Bools, now: Gradients) -> bool:
         """Whether places are exactly where they were, which those of a slow scene are not."""
@@ -281,7 +281,7 @@ class ImageFixedDetector:
         elif is_ambiguous and is_new:
             self.found = ImageFixed(
                 None,
-                self._area(),
+                _share(self._fixed),
                 is_ambiguous=True,
                 finds=self._finds,
                 place=place_of(self._fixed),
@@ -289,7 +289,7 @@ class ImageFixedDetector:
         else:
             self._finds += is_new
             self.found = ImageFixed(
-                self._mask(), self._area(), finds=self._finds, place=place_of(self._fixed)
+                self._mask(), _share(self._fixed), finds=self._finds, place=place_of(self._fixed)
             )
 
     def _border_along(self, fixed: Bools, count: int) -> Bools | None:
@@ -306,9 +306,6 @@ class ImageFixedDetector:
         drift = displacement(now, *self._first).squared_px
         still = (self._run >= _MIN_RUN) & (drift < _MAX_DRIFT_PX**2)
         return bool(np.count_nonzero(still) >= _MIN_SHARE * count)
-
-    def _area(self) -> float:
-        return float(np.mean(self._fixed))
 
     def _mask(self) -> Bytes:
         side = 2 * _GROWTH_PX + 1
@@ -338,9 +335,12 @@ def place_of(fixed: Bools) -> str:
 def _is_everywhere(fixed: Bools) -> bool:
     """Whether it covers a large part of the image (H, W) or its top, or parts above and below."""
     third = len(fixed) // 3
-    top, bottom = fixed[:third].mean(), fixed[-third:].mean()
-    is_large = fixed.mean() > _MAX_AREA or top > _MAX_TOP
-    return bool(is_large or min(top, bottom) > _MAX_OPPOSITE)
+    whole, top, bottom = map(_share, (fixed, fixed[:third], fixed[-third:]))
+    return whole > _MAX_AREA or top > _MAX_TOP or min(top, bottom) > _MAX_OPPOSITE
+
+
+def _share(places: Bools) -> float:
+    return float(np.count_nonzero(places)) / places.size
 
 
 def _of_half_size(used: Bytes) -> Bools:
@@ -355,6 +355,6 @@ def _textured(gradients: Gradients) -> Bools:
     energy = gradients.energy
     noise = float(percentiles(energy[::8, ::8], (_FLATTEST_PERCENT,))[0])
     textured = energy > max(_MIN_TEXTURE, _MIN_TEXTURE_TO_NOISE * noise)
-    inside = np.zeros_like(textured)
-    inside[_MARGIN_PX:-_MARGIN_PX, _MARGIN_PX:-_MARGIN_PX] = True
-    return np.asarray(textured & inside)
+    textured[:_MARGIN_PX] = textured[-_MARGIN_PX:] = False
+    textured[:, :_MARGIN_PX] = textured[:, -_MARGIN_PX:] = False
+    return np.asarray(textured)

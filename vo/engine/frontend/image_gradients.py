@@ -43,7 +43,7 @@ class Displacement(NamedTuple):
 
 def gradients_of(image: Bytes) -> Gradients:
     """Gradients of an image (H, W) uint8, grey levels per pixel."""
-    u, v = (g.astype(np.float32) * np.float32(0.125) for g in cv2.spatialGradient(image))
+    u, v = (np.multiply(g, np.float32(0.125)) for g in cv2.spatialGradient(image))
     return Gradients(u, v, mean_product(u, v, u, v))
 
 

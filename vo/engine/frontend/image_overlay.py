@@ -84,5 +84,6 @@ def _share_of_corners(mean: Gradients, before: Gradients, places: Bools) -> floa
 
 def _has_moved(similar: Floats32) -> bool:
     """Whether nearly all places, by their correlation (N,), have moved or are the same."""
-    moved, same = float(np.mean(similar < _MOVED)), float(np.mean(similar > _SAME))
+    of_kinds = similar < _MOVED, similar > _SAME
+    moved, same = (int(np.count_nonzero(at)) / len(at) for at in of_kinds)
     return moved > _MIN_MOVED and 1.0 - moved - same < _MAX_BETWEEN * moved
