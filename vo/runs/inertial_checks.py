@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from vo.base.faults import Fault, FaultKind
+from vo.base.geometry.quantiles import median, percentiles
 from vo.base.records.inertial_use import InertialUse
 from vo.base.types import Ints
 
@@ -58,15 +59,15 @@ def why_unusable(sensor: InertialSensor, image_stamps_ns: Ints) -> Unusable | No
     if len(stamps) < 2:
         return Unusable("it has no samples")
     steps = np.diff(stamps)
-    median = float(np.median(steps))
-    if 1e9 / median < _MIN_RATE_HZ:
-        rate = 1e9 / median
+    usual_ns = median(steps)
+    rate = 1e9 / usual_ns
+    if rate < _MIN_RATE_HZ:
         return Unusable(f"{rate:.3g} samples per second are too few", is_error=False)
     covered = (image_stamps_ns >= stamps[0]) & (image_stamps_ns <= stamps[-1])
     if covered.mean() < _MIN_COVERED:
         share = 100 * covered.mean()
         return Unusable(f"it covers {share:.0f} % of the images in time: is its clock another one?")
-    gaps = float((steps > _GAP * median).mean())
+    gaps = float((steps > _GAP * usual_ns).mean())
     if gaps > _MAX_GAP_RATIO:
         return Unusable(f"{100 * gaps:.0f} % of its samples come after a gap")
     return _wrong_values(_parts(sensor, image_stamps_ns))
@@ -92,8 +93,8 @@ def _wrong_values(parts: list[Samples]) -> Unusable | None:
         return Unusable(f"the mean acceleration is {mean:.3g}, probably in g instead of m/s²")
     if not _USUAL_ACCEL_M_S2[0] <= mean <= _USUAL_ACCEL_M_S2[1]:
         return Unusable(f"the mean acceleration is {mean:.3g} m/s² instead of about 9.81")
-    high = float(np.percentile(rate, 99))
-    if float(np.median(rate)) > _MAX_MEDIAN_RATE_RAD_S or high > _MAX_RATE_RAD_S:
+    high = percentiles(rate, [99.0])[0]
+    if median(rate) > _MAX_MEDIAN_RATE_RAD_S or high > _MAX_RATE_RAD_S:
         return Unusable(
             f"1 % of the angular rates are above {high:.3g} rad/s: probably degrees per second"
         )

@@ -205,7 +205,9 @@ class _Problem:
             bias = camera - (matrix @ gyro[:, :, None])[:, :, 0]
             residual = self.rates - measured @ np.swapaxes(matrix, 1, 2) - bias[:, None]
             length = np.sqrt(np.mean(residual**2, axis=2))
-            scale = np.maximum(1.3 * np.median(length, axis=1), 1e-9)
+            ranked, last = np.sort(length, axis=1), length.shape[1] - 1
+            middle = 0.5 * (ranked[:, last // 2] + ranked[:, (last + 1) // 2])
+            scale = np.maximum(1.3 * middle, 1e-9)
             weight = 1.0 / (1.0 + (length / (_CAUCHY * scale[:, None])) ** 2)
         return _Fits(matrix, bias, residual, scale, weight)
 

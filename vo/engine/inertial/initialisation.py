@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 
 from vo.base.frozen import frozen
+from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import inverse
 from vo.base.types import Floats, ImuNoise
 from vo.engine.geometry import so3
@@ -169,12 +170,12 @@ def _gyro_bias(keyframes: Keyframes) -> tuple[Floats, float]:
         corrected = predicted @ so3.exp(jacobian @ bias)
         off = so3.log(np.swapaxes(corrected, 1, 2) @ relative)
         size = np.linalg.norm(off, axis=1)
-        weight = 1.0 / np.maximum(size, 0.5 * float(np.median(size)) + 1e-9)  # towards the median
+        weight = 1.0 / np.maximum(size, 0.5 * median(size) + 1e-9)  # towards the median
         normal = np.einsum("n,nji,njk->ik", weight, jacobian, jacobian)
         bias = bias + np.linalg.solve(normal, np.einsum("n,nji,nj->i", weight, jacobian, off))
     corrected = predicted @ so3.exp(jacobian @ bias)
     off = so3.log(np.swapaxes(corrected, 1, 2) @ relative)
-    return bias, float(np.median(np.linalg.norm(off, axis=1)))
+    return bias, median(np.linalg.norm(off, axis=1))
 
 
 def _linear_states(

@@ -166,7 +166,7 @@ class TrajectoryStore:
         odom_covariance = symmetric(rows["odom_covariance"][registered])
         odom_from_cam0 = whole_transforms(rows["odom_from_cam0"][registered])
         first = len(rows)
-        for segment in np.unique(segments).tolist():
+        for segment in sorted(set(segments.tolist())):
             chosen = np.flatnonzero(segments == segment)
             self._worlds[segment] = int(worlds[chosen[0]])
             of_segment = np.flatnonzero(rows["segment"] == segment)
@@ -192,7 +192,7 @@ class TrajectoryStore:
     def registered(self, world: int) -> tuple[Ints, Floats, Floats, Floats]:
         """Ids, poses, scales and covariances of a world's keyframes, as for `move_keyframes`."""
         table = self._keyframes.rows
-        segments = [n for n in np.unique(table["segment"]).tolist() if self.world(n) == world]
+        segments = [n for n in set(table["segment"].tolist()) if self.world(n) == world]
         rows = table[np.isin(table["segment"], segments)]
         poses = whole_transforms(rows["world_from_cam0"])
         return rows["id"].copy(), poses, rows["scale"].copy(), symmetric(rows["covariance"])
@@ -205,7 +205,7 @@ class TrajectoryStore:
         """
         self.metric.scales = scales
         table = self._keyframes.rows
-        for number in np.unique(table["segment"]).tolist():
+        for number in sorted(set(table["segment"].tolist())):
             scale = self.metric.scale(number)
             if scale is not None:
                 apply_scale(table, np.flatnonzero(table["segment"] == number), scale)
@@ -213,7 +213,7 @@ class TrajectoryStore:
 
     def scales_of_segments(self) -> dict[int, MetricScale]:
         """The scales that were applied, by number of the segment."""
-        segments = np.unique(self.frames["segment"]).tolist()
+        segments = sorted(set(self.frames["segment"].tolist()))
         found = ((segment, self.metric.scale(segment)) for segment in segments)
         return {segment: scale for segment, scale in found if scale is not None}
 

@@ -110,7 +110,9 @@ def parse_stamps(
     has_points = any("." in stamp.text for stamp in stamps)
     found = _unit_that_fits(values, usual, are_whole and not has_points, spacing)
     if found not in (unit, usual) and spacing is not NAMES:
-        _report_unit(stamps[0], _interval(values) * NS_PER_UNIT[unit], unit, found, spacing, faults)
+        _report_unit(
+            stamps[0], median_interval(values) * NS_PER_UNIT[unit], unit, found, spacing, faults
+        )
     parsed = [
         _nanoseconds(stamp, number, found) for stamp, number in zip(stamps, numbers, strict=True)
     ]
@@ -129,7 +131,7 @@ def _plain(texts: list[str], unit: StampUnit, spacing: Spacing) -> list[int] | N
     except ValueError:
         return None
     is_ns = unit == "ns" or (spacing is not STATED and min(values) >= _MIN_LONG)
-    interval = _interval(values)
+    interval = median_interval(values)
     is_usual = not interval or spacing.least_ns <= interval <= spacing.most_ns
     is_certain = is_ns and is_usual and max(values) <= MAX_STAMP_NS
     return values if is_certain and not _may_be_joined(texts) else None
@@ -190,7 +192,7 @@ def _may_be_joined(texts: Sequence[str]) -> bool:
 
 def _irregular(values: Sequence[Decimal]) -> int:
     """Number of intervals that differ from the median by more than half of it."""
-    ordered, usual = sorted(values), _interval(values)
+    ordered, usual = sorted(values), median_interval(values)
     steps = [b - a for a, b in zip(ordered, ordered[1:], strict=False)]
     return sum(abs(step - usual) * 2 > usual for step in steps)
 
@@ -204,17 +206,17 @@ def _number(text: str) -> Decimal | None:
     return value if value.is_finite() and value.adjusted() <= _MAX_DIGITS else None
 
 
-def _interval(values: Sequence[_Number]) -> _Number:
-    """The median interval; 0 for fewer than two."""
+def median_interval(values: Sequence[_Number]) -> _Number | int:
+    """The median interval between numbers in order, the lower one of two; 0 for fewer than two."""
     ordered = sorted(values)
     steps = sorted(b - a for a, b in zip(ordered, ordered[1:], strict=False))
-    return steps[(len(steps) - 1) // 2] if steps else values[0] - values[0]
+    return steps[(len(steps) - 1) // 2] if steps else 0
 
 
 def _unit_that_fits(
     values: Sequence[Decimal], usual: StampUnit, are_whole: bool, spacing: Spacing
 ) -> StampUnit:
-    interval, largest = _interval(values), max(map(abs, values))
+    interval, largest = median_interval(values), max(map(abs, values))
     low, high = spacing.usual_ns
     fits = spacing.least_ns <= interval * NS_PER_UNIT[usual] <= spacing.most_ns
     if not interval or (fits and largest * NS_PER_UNIT[usual] <= MAX_STAMP_NS):
@@ -284,7 +286,7 @@ def stamp_ns_from_seconds(text: str) -> int:
 
 def _report_unit(
     first: Stamp,
-    interval_ns: Decimal,
+    interval_ns: Decimal | int,
     unit: StampUnit,
     found: StampUnit,
     spacing: Spacing,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.errors import SourceError
+from vo.base.geometry.quantiles import median
 from vo.recordings.formats.headings import (
     ACCEL,
     GYRO,
@@ -92,7 +93,7 @@ def _all_at_once(lines: list[str], layout: _Layout) -> ImuSamples | None:
         values = np.loadtxt(lines, delimiter=",", comments=None, usecols=layout.values, ndmin=2)
     except ValueError:
         return None
-    interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else SAMPLES.least_ns
+    interval = median(np.diff(stamps)) if len(stamps) > 1 else SAMPLES.least_ns
     if max(stamps) > MAX_STAMP_NS or not SAMPLES.least_ns <= interval <= SAMPLES.most_ns:
         return None
     return make_samples(stamps, values * layout.factors, 0)

@@ -17,6 +17,7 @@ from vo.recordings.formats.stamp_units import (
     NAMES,
     StampText,
     StampUnit,
+    median_interval,
     parse_stamps,
 )
 from vo.recordings.formats.table import table_text
@@ -207,9 +208,7 @@ def check_increasing(shots: Sequence[Shot]) -> None:
 
 def median_interval_ns(stamps_ns: Sequence[int]) -> int:
     """Median interval between consecutive stamps; 0 for fewer than two."""
-    ordered = sorted(stamps_ns)
-    steps = sorted(b - a for a, b in zip(ordered, ordered[1:], strict=False))
-    return int(steps[(len(steps) - 1) // 2]) if steps else 0
+    return int(median_interval(stamps_ns))
 
 
 def shots_from_names(
