@@ -127,6 +127,10 @@ class PreprocessedFrame:
         return self.right is not None or self.depth is not None
 
 
+# As many threads have enough to do with tracking, reading and windows.
+_BUSY_THREADS = 2
+
+
 class FramePreprocessor:
     """Preprocesses frames, left and right images in a thread each where there are cores for it.
 
@@ -170,6 +174,7 @@ class FramePreprocessor:
         self._image_fixed = ImageFixedDetector(rig.fx * rig.baseline_m)
         self._recent = RecentFrames()
         self._time_offset = TimeOffsetEstimator(rig)
+        self._threads = threads
         names = ("left", "right") if threads > 1 else ()
         self._pools = [
             ThreadPoolExecutor(1, thread_name_prefix=name, initializer=give_way) for name in names
@@ -186,8 +191,15 @@ class FramePreprocessor:
         return LazyFuture(lambda: self._preprocess(frame), pool)
 
     def ahead(self, frames: Iterable[Frame]) -> Iterator[LazyFuture[PreprocessedFrame]]:
-        """All frames, each started while the one before it is tracked."""
-        return each_started_early(frames, self.submit)
+        """All frames, with more than two threads each started while the one before it is tracked.
+
+        With two, handing frames over takes 4 % of the CPU time and saves no wall time
+        (docs/experiments/thread-scheduling.md).
+        """
+        if self._threads > _BUSY_THREADS:
+            return each_started_early(frames, self.submit)
+        self._pools = []
+        return map(self.submit, frames)
 
     def are_exchanged(self, frame: PreprocessedFrame) -> bool:
         """Whether left and right images have changed places."""
