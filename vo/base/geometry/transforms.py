@@ -10,6 +10,7 @@ from vo.base.types import Floats
 
 # Maximum error of a rotation that a single Newton step corrects; its square remains.
 _MAX_ROUNDING = 1e-8
+_IDENTITY = np.eye(3)
 
 
 def make_transform(rotation: Floats, translation: Floats) -> Floats:
@@ -32,8 +33,11 @@ def whole_transforms(rows: Floats) -> Floats:
 def inverse(a_from_b: Floats) -> Floats:
     """b_from_a of one (4, 4) or many (..., 4, 4) transforms."""
     if a_from_b.ndim == 2:  # two thirds of the time of the general case
-        rotation = a_from_b[:3, :3].T
-        return make_transform(rotation, -(rotation @ a_from_b[:3, 3]))
+        single = np.zeros((4, 4))
+        single[:3, :3] = back = a_from_b[:3, :3].T
+        single[:3, 3] = -(back @ a_from_b[:3, 3])
+        single[3, 3] = 1.0
+        return single
     result = np.zeros_like(a_from_b)
     rotation = np.swapaxes(a_from_b[..., :3, :3], -1, -2)
     result[..., :3, :3] = rotation
@@ -58,23 +62,17 @@ def skew(vector: Floats) -> Floats:
 
 def so3_exp(rotvec: Floats) -> Floats:
     """Rotation matrix of a rotation vector in radians (Rodrigues)."""
-    angle = float(np.linalg.norm(rotvec))
-    k = skew(rotvec)
-    if angle < 1e-8:
-        return np.asarray(np.eye(3) + k + 0.5 * k @ k)
-    half_sine = np.sin(0.5 * angle) / angle
-    return np.asarray(np.eye(3) + (np.sin(angle) / angle) * k + 2.0 * half_sine**2 * k @ k)
+    return _rotation(*_angle_and_skew(rotvec))
 
 
 def so3_log(rotation: Floats) -> Floats:
     """Rotation vector in radians of a (3, 3) rotation, with an angle in [0, pi]."""
-    quat = quat_xyzw_from_rotation(rotation)
-    if quat[3] < 0:
-        quat = -quat
-    sine = float(np.linalg.norm(quat[:3]))
-    if sine < 1e-12:
-        return np.asarray(2.0 * quat[:3])
-    return np.asarray(quat[:3] * (2.0 * np.arctan2(sine, quat[3]) / sine))
+    x, y, z, w = quat_xyzw_of_rows(rotation.tolist())
+    if w < 0:
+        x, y, z, w = -x, -y, -z, -w
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, w) / sine
+    return np.array([x * factor, y * factor, z * factor])
 
 
 def se3_exp(tangent: Floats) -> Floats:
@@ -82,13 +80,16 @@ def se3_exp(tangent: Floats) -> Floats:
 
     Source: Barfoot, State Estimation for Robotics, 2017, eq. 7.33 and 7.37.
     """
-    return make_transform(so3_exp(tangent[:3]), _left_jacobian(tangent[:3]) @ tangent[3:])
+    angle, k = _angle_and_skew(tangent[:3])
+    return make_transform(_rotation(angle, k), _left_jacobian(angle, k) @ tangent[3:])
 
 
 def se3_log(transform: Floats) -> Floats:
     """Tangent vector (rx ry rz tx ty tz) of a transform; the inverse of `se3_exp`."""
     rotvec = so3_log(transform[:3, :3])
-    return np.concatenate([rotvec, np.linalg.solve(_left_jacobian(rotvec), transform[:3, 3])])
+    return np.concatenate(
+        [rotvec, np.linalg.solve(_left_jacobian(*_angle_and_skew(rotvec)), transform[:3, 3])]
+    )
 
 
 def adjoint(a_from_b: Floats) -> Floats:
@@ -115,18 +116,14 @@ def orthonormalised(transform: Floats) -> Floats:
     """
     matrix = transform[:3, :3]
     # Mean of the matrix and its inverse transposed, whose rows are cross products.
-    rows: list[list[float]] = matrix.tolist()
-    inverse_rows = [_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])]
-    determinant = sum(a * b for a, b in zip(rows[0], inverse_rows[0], strict=True))
+    first, second, third = matrix.tolist()
+    values = [*first, *second, *third]
+    crossed = [*_cross(second, third), *_cross(third, first), *_cross(first, second)]
+    determinant = values[0] * crossed[0] + values[1] * crossed[1] + values[2] * crossed[2]
     if abs(determinant - 1.0) < _MAX_ROUNDING:
-        rotation = np.array(
-            [
-                [0.5 * (a + b / determinant) for a, b in zip(row, other, strict=True)]
-                for row, other in zip(rows, inverse_rows, strict=True)
-            ]
-        )
-        if np.abs(rotation - matrix).max() < _MAX_ROUNDING:
-            return make_transform(rotation, transform[:3, 3])
+        means = [0.5 * (a + b / determinant) for a, b in zip(values, crossed, strict=True)]
+        if all(abs(a - b) < _MAX_ROUNDING for a, b in zip(values, means, strict=True)):
+            return make_transform(np.array(means).reshape(3, 3), transform[:3, 3])
     u, _, vt = np.linalg.svd(matrix)
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     return make_transform(rotation, transform[:3, 3])
@@ -173,14 +170,25 @@ def quat_xyzw_of_rows(m: list[list[float]]) -> list[float]:
     return [x / length, y / length, z / length, w / length]
 
 
-def _left_jacobian(rotvec: Floats) -> Floats:
+def _angle_and_skew(rotvec: Floats) -> tuple[float, Floats]:
+    """Length of a rotation vector, and its (3, 3) matrix of the cross product."""
+    x, y, z = rotvec.tolist()
+    return math.sqrt(x * x + y * y + z * z), np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def _rotation(angle: float, k: Floats) -> Floats:
+    if angle < 1e-8:
+        return np.asarray(_IDENTITY + k + 0.5 * k @ k)
+    half_sine = np.sin(0.5 * angle) / angle
+    return np.asarray(_IDENTITY + (np.sin(angle) / angle) * k + 2.0 * half_sine**2 * k @ k)
+
+
+def _left_jacobian(angle: float, k: Floats) -> Floats:
     """Left Jacobian (3, 3) of SO(3)."""
-    angle = float(np.linalg.norm(rotvec))
-    k = skew(rotvec)
     if angle < 1e-6:
-        return np.asarray(np.eye(3) + 0.5 * k + k @ k / 6.0)
+        return np.asarray(_IDENTITY + 0.5 * k + k @ k / 6.0)
     # 1 - cos by the half angle: the plain form loses all digits as the angle gets small.
     half_sine = np.sin(0.5 * angle) / angle
     return np.asarray(
-        np.eye(3) + 2.0 * half_sine**2 * k + ((angle - np.sin(angle)) / angle**3) * k @ k
+        _IDENTITY + 2.0 * half_sine**2 * k + ((angle - np.sin(angle)) / angle**3) * k @ k
     )
