@@ -45,9 +45,10 @@ class PoseResiduals(NamedTuple):
     def fit(self, others: Floats | None = None) -> PoseFit | None:
         """Robust fit of the pose and of other columns (2n, m); None with too few landmarks."""
         columns = self.by_pose if others is None else np.concatenate([self.by_pose, others], axis=1)
-        left = self.error
+        left, variance = self.error, self.sigma**2
         for _ in range(_ITERATIONS):
-            weight = np.tile(1.0 + self.squares(left) / _CAUCHY**2, 2) * self.sigma**2
+            robust = 1.0 + self.squares(left) / _CAUCHY**2
+            weight = np.concatenate([robust, robust]) * variance
             weighted = np.asarray(columns.T / weight, np.float64)
             information = weighted @ columns
             try:
@@ -75,17 +76,18 @@ def pose_residuals(rig: RectifiedRig, xyz: Floats, tracked: TrackedFrame) -> Pos
     cam_from_world = inverse(tracked.world_from_cam)
     p = xyz[observed.rows[::step]] @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
     x, y, near = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2], 1.0 / p[:, 2]
-    found = (observed.xy[::step] - (rig.cx, rig.cy)) / (rig.fx, rig.fy)
-    none, one = np.zeros(len(x)), np.ones(len(x))
-    by_x = [near, none, -x * near, -x * y, one + x * x, -y]
-    by_y = [none, near, -y * near, -one - y * y, x * y, x]
-    return PoseResiduals(
-        np.stack([x, y]),
-        observed.image_xy[::step, 1],
-        np.concatenate([found[:, 0] - x, found[:, 1] - y]),
-        np.tile(observed.sigma_px[::step] / rig.fx, 2),
-        np.concatenate([np.stack(by_x, axis=1), np.stack(by_y, axis=1)]),
-    )
+    found, sigma = observed.xy[::step], observed.sigma_px[::step] / rig.fx
+    n = len(x)
+    error, by_pose = np.empty(2 * n), np.zeros((2 * n, 6))
+    error[:n] = (found[:, 0] - rig.cx) / rig.fx - x
+    error[n:] = (found[:, 1] - rig.cy) / rig.fy - y
+    by_pose[:n, 0] = by_pose[n:, 1] = near
+    by_pose[:n, 2], by_pose[n:, 2] = -x * near, -y * near
+    by_pose[:n, 3], by_pose[n:, 3] = -x * y, -1.0 - y * y
+    by_pose[:n, 4], by_pose[n:, 4] = 1.0 + x * x, x * y
+    by_pose[:n, 5], by_pose[n:, 5] = -y, x
+    row, sigmas = observed.image_xy[::step, 1], np.concatenate([sigma, sigma])
+    return PoseResiduals(np.stack([x, y]), row, error, sigmas, by_pose)
 
 
 def median_length(residuals: Floats) -> float:

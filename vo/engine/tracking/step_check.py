@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -113,7 +114,7 @@ class StepCheck:
 
     def _usual(self) -> float:
         fewest = _MIN_USUAL_M_S2 if self._is_metric else _MIN_USUAL_PER_S * self._max_speed
-        return max(median(list(self._accelerations)), fewest, 1e-12)
+        return max(_median(self._accelerations), fewest, 1e-12)
 
     def _acceleration(self, step: Step) -> float:
         """Of the mean velocities before and after the last frame, of lengths h' and h.
@@ -125,14 +126,14 @@ class StepCheck:
         return 2.0 * error / (interval_s * (interval_s + (self._interval_s or interval_s)))
 
     def _is_well_supported(self, ratio: float) -> bool:
-        return ratio >= _MANY and ratio >= _AS_MANY_AS_USUAL * median(list(self._ratios))
+        return ratio >= _MANY and ratio >= _AS_MANY_AS_USUAL * _median(self._ratios)
 
     def _is_confirming(self, step: Step) -> bool:
         """Whether the camera goes on from the pose rejected before, with any velocity known."""
         before = self._rejected
         if before is None or step.stamp_ns <= before.stamp_ns:
             return False
-        fewest = _FEWER * median(list(self._ratios))
+        fewest = _FEWER * _median(self._ratios)
         if min(before.inlier_ratio, step.inlier_ratio) < fewest:
             return False
         last, interval_s = step.last[:3, 3], (step.stamp_ns - before.stamp_ns) * 1e-9
@@ -141,6 +142,13 @@ class StepCheck:
         moved = step.pose[:3, 3] - before.position
         error = min(float(np.linalg.norm(moved - v * interval_s)) for v in (old, new))
         return error / interval_s**2 < _MAX_EXCESS * self._usual()
+
+
+def _median(few: Iterable[float]) -> float:
+    """As `median`, of plain numbers without NaN, in a tenth of the time."""
+    ranked = sorted(few)
+    last = len(ranked) - 1
+    return 0.5 * (ranked[last // 2] + ranked[(last + 1) // 2])
 
 
 def _distance(a: Floats, b: Floats) -> float:
@@ -189,13 +197,14 @@ class MapAgreement:
         if max(self._few, self._disagreeing) >= _FEW_FRAMES:
             return (Fault(FaultKind.TWO_MOTIONS, value=1.0 - ratio),)
         if not self._is_metric and self._is_bent(tracked):
-            return (Fault(FaultKind.BENT_MAP, value=1.0 - median(list(self._newest_found))),)
+            return (Fault(FaultKind.BENT_MAP, value=1.0 - _median(self._newest_found)),)
         is_low = ratio < _MIN_AGREEING
         correlation = median(tracked.observed.score[tracked.inlier]) if is_low else 1.0
         self._newest.append((ratio, correlation))
-        agreeing, correlation = (median(each) for each in zip(*self._newest, strict=True))
-        if len(self._newest) < _NEWEST or correlation > _MIN_CORRELATION:
+        correlations = (correlation for _, correlation in self._newest)
+        if len(self._newest) < _NEWEST or _median(correlations) > _MIN_CORRELATION:
             return ()
+        agreeing = _median(ratio for ratio, _ in self._newest)
         return (Fault(FaultKind.CHANGING_APPEARANCE, value=1.0 - agreeing),)
 
     def _is_bent(self, tracked: TrackedFrame) -> bool:
@@ -204,5 +213,5 @@ class MapAgreement:
         self._sum_found += self._newest_found[-1]
         self._frames += 1
         usual = self._sum_found / self._frames
-        newest = median(list(self._newest_found))
+        newest = _median(self._newest_found)
         return self._frames >= _NEWEST and newest < _MIN_RELATIVE * usual
