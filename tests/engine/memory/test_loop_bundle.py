@@ -107,7 +107,7 @@ def _add(
         covariance=None,
         cross_covariance={},
         keypoints=_NO_FEATURES,
-        undistorted_xy=nothing,
+        undistorted=lambda: nothing,
         free=np.zeros(0, bool),
         landmark=ids,
         xy=xy,

@@ -160,7 +160,7 @@ def _keyframe(
         covariance,
         cross,
         blank_keypoints(0),
-        nothing,
+        lambda: nothing,
         np.empty(0, bool),
         np.empty(0, np.int64),
         nothing,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -68,7 +70,7 @@ class Keyframe:
         world_from_cam: (4, 4), changed by optimisation.
         covariance: (6, 6) in the camera's frame, None before the first optimisation.
         cross_covariance: (6, 6) by id of earlier keyframes: rows are errors of this one.
-        undistorted_xy: (N, 2) ideal pixels of its features.
+        undistorted: gives `undistorted_xy`.
         free: (N,) features without a landmark.
         landmark: (n,) ids of the landmarks that it observes.
         xy: (n, 2) ideal pixels where it observes them.
@@ -89,7 +91,7 @@ class Keyframe:
     covariance: Floats | None
     cross_covariance: dict[int, Floats]
     keypoints: Keypoints
-    undistorted_xy: Floats
+    undistorted: Callable[[], Floats]
     free: Bools
     landmark: Ints
     xy: Floats
@@ -100,14 +102,18 @@ class Keyframe:
     is_doubted: bool = False
     velocity: Velocity | None = None
 
+    @property
+    def undistorted_xy(self) -> Floats:
+        """(N, 2) ideal pixels of its features, computed when they are needed."""
+        return self.undistorted()
+
     def undistort(self, rig: RectifiedRig, inverse_depth: Floats) -> None:
         """Compute ideal pixels anew, by inverse depths (n,) of its landmarks, NaN where unknown."""
         usual = usual_inverse_depth(inverse_depth)
         near = np.where(np.isnan(inverse_depth), usual, inverse_depth)
         self.xy = at_middle_row(rig, self.image_xy, near, self.velocity)
-        self.undistorted_xy = at_middle_row(
-            rig, self.keypoints.xy.astype(np.float64), usual, self.velocity
-        )
+        xy = self.keypoints.xy.astype(np.float64)
+        self.undistorted = cache(partial(at_middle_row, rig, xy, usual, self.velocity))
 
     def add_observations(self, new: NewObservations) -> None:
         """Add observations of landmarks that this keyframe does not observe yet."""

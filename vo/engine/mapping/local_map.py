@@ -160,7 +160,7 @@ class LocalMap:
             covariance=None,
             cross_covariance={},
             keypoints=keypoints,
-            undistorted_xy=self.rig.undistort(keypoints.xy),
+            undistorted=cache(partial(self.rig.undistort, keypoints.xy)),
             free=free.copy(),
             landmark=np.empty(0, np.int64),
             xy=np.empty((0, 2)),

@@ -170,12 +170,12 @@ class LocalMapper:
         first = local_map.id[new[0]]
         unseen = [~_among(local_map.id[new] - first, k.landmark - first) for k in others]
         rows = np.concatenate([new[mask] for mask in unseen])
-        camera = np.repeat(np.arange(len(others)), [np.count_nonzero(mask) for mask in unseen])
-        camera += len(local_map.keyframes) - 1 - len(others)
+        begin = len(local_map.keyframes) - 1 - len(others)
+        camera = np.arange(begin, begin + len(others)).repeat([mask.sum() for mask in unseen])
         found = find_patches(local_map, rows, camera, self._patches)
-        for number, other in enumerate(local_map.keyframes):
-            here = found.camera == number
-            if here.any():
+        for number, other in enumerate(others, begin):
+            here = (found.camera == number).nonzero()[0]
+            if len(here):
                 ids = local_map.id[found.rows[here]]
                 other.add_observations(
                     without_disparity(

@@ -49,15 +49,15 @@ def find_patches(
     seen = predict_patches(
         local_map.xyz, local_map.normal, reference, rows, camera, local_map.poses, rig.intrinsics
     )
-    kept = np.flatnonzero((seen.scale < MAX_SCALE) & (seen.scale > 1.0 / MAX_SCALE))
+    kept = ((seen.scale < MAX_SCALE) & (seen.scale > 1.0 / MAX_SCALE)).nonzero()[0]
     near = _inverse_depth(local_map, rows[kept], camera[kept])
-    expected = _as_seen(local_map, camera[kept], seen.xy[kept], near)
+    expected = _as_seen(local_map, camera[kept], seen.xy.take(kept, axis=0), near)
     farthest = (rig.width - BORDER_PX, rig.height - BORDER_PX)
     inside = np.flatnonzero(((expected >= BORDER_PX) & (expected < farthest)).all(axis=1))
     inside = inside[_shown(local_map, camera[kept[inside]], expected[inside])]
-    kept, expected = kept[inside], expected[inside]
+    kept, expected = kept[inside], expected.take(inside, axis=0)
     rows, camera = rows[kept], camera[kept]
-    warp = seen.reference_from_target[kept]
+    warp = seen.reference_from_target.take(kept, axis=0)
     if of_rig:
         targets = local_map.poses, camera
         warp = map_homographies(local_map, rows, targets, warp, seen.xy[kept], seen.slope[kept])
@@ -103,8 +103,8 @@ def _as_seen(local_map: LocalMap, camera: Ints, xy: Floats, near: Floats) -> Flo
     """Pixels (N, 2) in the images of keyframes (N,), of ideal ones at inverse depths (N,)."""
     image_xy = local_map.rig.distort(xy)
     for number, keyframe in enumerate(local_map.keyframes):
-        here = camera == number
         if keyframe.velocity is not None:
+            here = camera == number
             image_xy[here] = as_seen(local_map.rig, xy[here], near[here], keyframe.velocity)
     return image_xy
 
@@ -113,8 +113,8 @@ def _at_middle_row(local_map: LocalMap, camera: Ints, image_xy: Floats, near: Fl
     """Ideal pixels (N, 2) of those in the images of keyframes (N,)."""
     xy = local_map.rig.undistort(image_xy)
     for number, keyframe in enumerate(local_map.keyframes):
-        here = camera == number
         if keyframe.velocity is not None:
+            here = camera == number
             xy[here] = at_middle_row(local_map.rig, image_xy[here], near[here], keyframe.velocity)
     return xy
 
