@@ -56,7 +56,7 @@ def with_supported(
     result, chain = kept.copy(), problem.chain[loops.earlier]
     by_look = (chain == problem.chain[loops.later]) & (loops.marker < 0)
     refused = by_look & ~plausible & ~kept
-    for number in np.unique(chain[refused]):
+    for number in set(chain[refused].tolist()):
         rows = np.flatnonzero(by_look & (chain == number) & (kept | refused))
         result[rows] = supported(loops.select(rows), kept[rows], motions)
     return result
@@ -96,7 +96,8 @@ def doubted_markers(problem: GraphProblem, loops: LoopEdges, plausible: Bools, k
     plausible = plausible & (loops.marker >= 0)
     inside = problem.chain[loops.earlier] == problem.chain[loops.later]
     ids, refused = (
-        np.unique(loops.marker[rows]) for rows in (plausible, plausible & inside & ~kept)
+        np.array(sorted(set(loops.marker[rows].tolist())), np.int64)
+        for rows in (plausible, plausible & inside & ~kept)
     )
     return ids if 2 * len(refused) >= len(ids) else refused
 
@@ -125,7 +126,7 @@ def _by_pair_of_parts(problem: GraphProblem, loops: LoopEdges, chosen: Bools) ->
     between = chosen & (pairs[:, 0] != pairs[:, 1])
     return [
         np.flatnonzero(between & (pairs == pair).all(axis=1))
-        for pair in np.unique(pairs[between], axis=0)
+        for pair in sorted(set(map(tuple, pairs[between].tolist())))
     ]
 
 
@@ -146,8 +147,7 @@ def _agreeing_pair(loops: LoopEdges, rows: Ints, motions: ChainMotions) -> Ints:
 
 def worlds_of(problem: GraphProblem, loops: LoopEdges) -> Ints:
     """(n,) number of the first chain of those that each row's chain is connected with."""
-    names = np.unique(problem.chain)
-    world = {int(name): int(name) for name in names}
+    world = {name: name for name in sorted(set(problem.chain.tolist()))}
     for a, b in zip(problem.chain[loops.earlier], problem.chain[loops.later], strict=True):
         first, second = sorted((world[int(a)], world[int(b)]))
         world = {name: first if of == second else of for name, of in world.items()}
@@ -162,7 +162,7 @@ def place_chains(problem: GraphProblem, loops: LoopEdges, motions: ChainMotions)
     poses, part = motions.odom_from_cam, problem.part
     _, first_row = np.unique(problem.chain, return_index=True)
     first_part = dict(zip(problem.chain[first_row].tolist(), part[first_row].tolist(), strict=True))
-    placed = {first_part[int(c)]: np.eye(4) for c in np.unique(worlds_of(problem, loops))}
+    placed = {first_part[c]: np.eye(4) for c in set(worlds_of(problem, loops).tolist())}
     ends = list(zip(part[loops.earlier].tolist(), part[loops.later].tolist(), strict=True))
     goes_on = (problem.chain[1:] == problem.chain[:-1]) & (part[1:] != part[:-1])
     beside = [(int(p) - 1, int(p)) for p in part[1:][goes_on]]

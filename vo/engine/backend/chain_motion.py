@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from vo.base.geometry.quantiles import median
 from vo.base.types import Floats, Ints
 from vo.engine.backend.graph_problem import GraphProblem
 from vo.engine.geometry import sim3
@@ -128,7 +129,7 @@ def _step_errors(
     doubted = problem.is_doubted[rows]
     of_mono = np.where(doubted, _DOUBTED_LOG_SCALE, of_mono)
     noise[rows, 6, 6] = np.where(problem.is_metric[rows], FIXED_LOG_SCALE, of_mono) ** 2
-    wide = _DOUBTED_STEPS * (length[doubted] + np.median(length))
+    wide = _DOUBTED_STEPS * (length[doubted] + median(length))
     for axis in range(3):
         noise[rows[doubted], axis, axis] += _DOUBTED_RAD**2
         noise[rows[doubted], axis + 3, axis + 3] += wide**2

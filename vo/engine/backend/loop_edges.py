@@ -132,7 +132,7 @@ def supported(loops: LoopEdges, kept: Bools, motions: ChainMotions) -> Bools:
             result & (_SHORTER * way <= abs(loops.later[row] - loops.earlier[row]))
         )
         near = near[np.argsort(way[near], kind="stable")][:_MAX_SUPPORTING]
-        if len(np.unique(loops.later[near])) >= _MIN_SUPPORTING:
+        if len(set(loops.later[near].tolist())) >= _MIN_SUPPORTING:
             result[row] = _agree(loops, near, np.full(len(near), row), motions).all()
     return result
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vo.base.frozen import frozen
+from vo.base.geometry.quantiles import median
 from vo.base.geometry.transforms import adjoint, inverse, make_transform
 from vo.base.types import Floats, ImuNoise, Ints
 from vo.engine.frontend.preprocessing import PreprocessedFrame
@@ -159,7 +160,7 @@ def with_frames(
         problem = _WovenProblem(woven, prior, noise)
         found = most_probable(problem, woven.states, last_step=_LAST_STEP)
         ratio = found.covariance[woven.keyframes, LOG_SCALE, LOG_SCALE] / variance
-        if found.misfit > _MAX_MISFIT or float(np.median(ratio)) > _MAX_RATIO**2:
+        if found.misfit > _MAX_MISFIT or median(ratio) > _MAX_RATIO**2:
             return estimate
         # Covariances are those of the largest drift of the scale that is not improbable, with
         # which states would follow errors of single frames.
@@ -175,7 +176,7 @@ def with_frames(
     of_scale = estimate.covariance[:, :, LOG_SCALE]
     less = ((1.0 - ratio).clip(0.0) / variance)[:, None, None]
     covariance = estimate.covariance - less * of_scale[:, :, None] * of_scale[:, None]
-    moved = _as_whole(estimate.states, states, float(np.median(change)))
+    moved = _as_whole(estimate.states, states, median(change))
     return replace(estimate, states=moved, covariance=covariance)
 
 

@@ -153,7 +153,7 @@ def _bias(seen: Floats, measured: list[Interval]) -> tuple[Floats, Floats]:
         turned = np.stack([rotation_of(interval, bias) for interval in measured])
         off = so3.log(np.swapaxes(turned, 1, 2) @ seen)
         size = np.linalg.norm(off, axis=1)
-        weight = 1.0 / np.maximum(size, 0.5 * float(np.median(size)) + 1e-9)  # towards the median
+        weight = 1.0 / np.maximum(size, 0.5 * median(size) + 1e-9)  # towards the median
         normal = np.einsum("n,nji,njk->ik", weight, jacobian, jacobian)
         right = np.einsum("n,nji,nj->i", weight, jacobian, off)
         bias = bias + np.linalg.solve(normal, right)

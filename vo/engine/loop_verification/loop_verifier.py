@@ -247,9 +247,8 @@ def _seen_ratio(pair: KeyframePair, relation: Floats, inliers: FoundLandmarks) -
 
 def _area(xy: Floats, camera: Camera) -> float:
     """Ratio of the cells of the image that hold pixels."""
-    column = np.clip(_CELLS * xy[:, 0] / camera.width, 0, _CELLS - 1).astype(np.int64)
-    row = np.clip(_CELLS * xy[:, 1] / camera.height, 0, _CELLS - 1).astype(np.int64)
-    return len(np.unique(row * _CELLS + column)) / _CELLS**2
+    cells = np.clip(_CELLS * xy / (camera.width, camera.height), 0, _CELLS - 1).astype(np.int64)
+    return len(set(map(tuple, cells.tolist()))) / _CELLS**2
 
 
 def _distance_apart(relation: Floats, pairs: LandmarkPairs) -> float:

@@ -76,9 +76,7 @@ class SearchPauses:
 
     def _is_spare(self, place: Place) -> bool:
         """Note a keyframe that resembles most a place with many loops, if it does."""
-        if self._loops_at.total() < _MANY_LOOPS:
-            return False
-        candidates = self._database.query(place)
+        candidates = self._database.query(place) if self._loops_at.total() >= _MANY_LOOPS else []
         first = self._first(candidates[0].key) if candidates else None
         if first is None or self._loops_near(first) < _MANY_LOOPS:
             return False
