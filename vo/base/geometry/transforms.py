@@ -68,11 +68,9 @@ def so3_exp(rotvec: Floats) -> Floats:
 def so3_log(rotation: Floats) -> Floats:
     """Rotation vector in radians of a (3, 3) rotation, with an angle in [0, pi]."""
     x, y, z, w = quat_xyzw_of_rows(rotation.tolist())
-    if w < 0:
-        x, y, z, w = -x, -y, -z, -w
-    sine = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, w) / sine
-    return np.array([x * factor, y * factor, z * factor])
+    axis, w = (np.array([x, y, z]), w) if w >= 0 else (np.array([-x, -y, -z]), -w)
+    sine = math.sqrt(axis.dot(axis))
+    return np.asarray(axis * (2.0 if sine < 1e-12 else 2.0 * np.arctan2(sine, w) / sine))
 
 
 def se3_exp(tangent: Floats) -> Floats:
@@ -173,7 +171,8 @@ def quat_xyzw_of_rows(m: list[list[float]]) -> list[float]:
 def _angle_and_skew(rotvec: Floats) -> tuple[float, Floats]:
     """Length of a rotation vector, and its (3, 3) matrix of the cross product."""
     x, y, z = rotvec.tolist()
-    return math.sqrt(x * x + y * y + z * z), np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # By `dot`, as in numpy.linalg.norm: sums of plain products differ in the last bit.
+    return math.sqrt(rotvec.dot(rotvec)), np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _rotation(angle: float, k: Floats) -> Floats:
