@@ -14,7 +14,7 @@ from recorded_walk import COUNT, Recording, track
 from vo.base.compiling.function import Compiled
 
 # Calls a frame, a tenth above what was counted. Whoever exceeds them says for what.
-MAX_COMPILED, MAX_PYTHON, MAX_C = 39, 1360, 1320
+MAX_COMPILED, MAX_PYTHON, MAX_C = 39, 1290, 1250
 
 
 def test_calls_of_a_stereo_frame(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
