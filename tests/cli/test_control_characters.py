@@ -17,6 +17,7 @@ from typer.testing import CliRunner
 from vo.base.printable import printable
 from vo.cli.app import app
 from vo.cli.console import SafeConsole, standard_error, standard_output
+from vo.cli.echo import echo_error
 
 _ATTACK = "\x1b]0;owned\x07\x1b[2J\x9b31m\r\u202e\x7f"
 _FORBIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
@@ -148,3 +149,13 @@ def test_names_between_colons_stay(capsys: pytest.CaptureFixture[str]) -> None:
     for console in (standard_output(), standard_error()):
         console.print("`ffmpeg -map 0:v:0`, /tf:map:base_link")
     assert "".join(capsys.readouterr()) == "`ffmpeg -map 0:v:0`, /tf:map:base_link\n" * 2
+
+
+@pytest.mark.parametrize("text", ["--no-loops \x1b\x9b31m", "[bold]café[/] :smile:", "x" * 300])
+def test_a_quiet_run_prints_lines_as_a_console_does(
+    text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    standard_error().print(text, markup=False, highlight=False, soft_wrap=True)
+    expected = capsys.readouterr().err
+    echo_error(text)
+    assert capsys.readouterr().err == expected

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import Any
 
 import typer
@@ -16,6 +17,12 @@ def echo(text: str, *, err: bool = False) -> None:
     """Print a line on standard output, or on standard error."""
     said()
     typer.echo(printable(in_flags(text)), err=err)
+
+
+def echo_error(text: str) -> None:
+    """Print a line on standard error; a closed pipe or a full disk is ignored."""
+    with suppress(OSError):
+        echo(text, err=True)
 
 
 def echo_json(value: Any) -> None:

@@ -8,13 +8,15 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # rich takes 20 ms, and a quiet run prints nothing
+from vo.cli.echo import echo_error
+
+if TYPE_CHECKING:  # rich takes 20 ms, and a quiet run does without it
     from rich.console import Console
 
 
 @contextmanager
-def warnings_on(console: Callable[[], Console], *, quiet: bool = False) -> Iterator[None]:
-    """Print each warning of the library once, as one line, above a progress bar.
+def warnings_on(console: Callable[[], Console] | None, *, quiet: bool = False) -> Iterator[None]:
+    """Print each warning of the library once, as one line, above a progress bar if on a console.
 
     Also print when functions are compiled, and where poses are served, unless quiet; with --verbose
     print all messages.
@@ -51,11 +53,11 @@ def details_on(console: Callable[[], Console]) -> Iterator[None]:
 
 
 class _LineHandler(logging.Handler):
-    """Prints messages that the levels of the loggers let pass."""
+    """Prints messages that the levels of the loggers let pass, without a console plainly."""
 
-    def __init__(self, console: Callable[[], Console]) -> None:
+    def __init__(self, console: Callable[[], Console] | None) -> None:
         super().__init__()
-        self._console = cache(console)
+        self._console = None if console is None else cache(console)
         self._printed: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
@@ -64,4 +66,7 @@ class _LineHandler(logging.Handler):
         if line in self._printed:  # for example, of a file that is read twice
             return
         self._printed.add(line)
-        self._console().print(line, markup=False, highlight=False, soft_wrap=True)
+        if self._console is None:
+            echo_error(line)
+        else:
+            self._console().print(line, markup=False, highlight=False, soft_wrap=True)

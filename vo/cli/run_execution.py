@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from vo.cli.echo import echo
+from vo.cli.echo import echo, echo_error
 from vo.cli.flags import given_words, known_flags
 from vo.cli.garbage import collection_paused
 from vo.cli.messages import warnings_on
@@ -51,7 +51,7 @@ def execute(request: RunRequest) -> None:
             config = _settings(request)
             import vo.runs.run_recording  # noqa: F401 - loading it collects no garbage
         errors = cache(_standard_error)  # for the first line
-        stack.enter_context(warnings_on(errors, quiet=quiet))
+        stack.enter_context(warnings_on(None if quiet else errors, quiet=quiet))
         is_quiet = quiet or _is_terminal_for_poses(request.outputs)
         progress = _progress(errors, quiet=is_quiet)
         options = {
@@ -92,13 +92,13 @@ def _progress(errors: Callable[[], Console], *, quiet: bool) -> Progress:
 
 
 def _print_result(summary: Summary, request: RunRequest, errors: Callable[[], Console]) -> None:
-    """Print the summary as text or JSON; warnings that are not part of a text go to `errors`."""
+    """Print the summary as text or JSON; warnings apart from a text."""
     printing = request.printing
     if printing.json_output or not printing.quiet:
         _print_summary(summary, request, errors)
     if printing.json_output or printing.quiet:
         for warning in summary.closing_warnings:
-            errors().print(f"warning: {warning}", markup=False, soft_wrap=True)
+            echo_error(f"warning: {warning}")
 
 
 def _print_summary(summary: Summary, request: RunRequest, errors: Callable[[], Console]) -> None:
