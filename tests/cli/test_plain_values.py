@@ -11,11 +11,11 @@ import pytest
 import typer.main
 
 from vo.cli import command
-from vo.cli.app import command_line
+from vo.cli.app import app
 
 
 def _parsed(arguments: list[str]) -> dict[str, Any] | str:
-    group: Any = typer.main.get_command(command_line(["run"]))
+    group: Any = typer.main.get_command(app)
     run = group.commands["run"]
     try:
         given: dict[str, Any] = run.make_context("run", list(arguments)).params

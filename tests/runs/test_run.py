@@ -248,7 +248,8 @@ def test_a_run_that_is_killed_while_it_closes_counts_the_frames_of_its_tables(
         "from test_run import *\n"
         "from vo.runs.run_session import RunSession\n"
         "RunSession._save_map = lambda self: os.kill(os.getpid(), signal.SIGKILL)\n"
-        "run(sys.argv[2], Path(sys.argv[3]), config=FAST, end=7)\n"
+        "output = Path(sys.argv[3])\n"
+        "run(sys.argv[2], output, config=FAST, end=7, save_map=output / 'map.vomap')\n"
     )
     here = str(Path(__file__).parent)
     done = subprocess.run([sys.executable, "-c", code, here, str(synthetic_stereo), str(tmp_path)])
