@@ -60,6 +60,6 @@ def _plain(value: Any, kind: Any, about: Any) -> Any:
 
 def _is_any_path(value: str, about: Any) -> bool:
     """Whether a path is nothing that Typer would refuse or replace."""
-    asked = (about.exists, about.writable, about.resolve_path, about.path_type)
-    is_free = about.file_okay and about.dir_okay and not any(asked)
+    checks = (about.exists, about.writable, about.resolve_path, about.path_type)
+    is_free = about.file_okay and about.dir_okay and not any(checks)
     return is_free and (os.access(value, os.R_OK) or not os.path.exists(value))

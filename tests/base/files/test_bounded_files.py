@@ -25,15 +25,15 @@ def test_a_file_that_is_read_in_parts_is_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").write_bytes(CONTENT)
-    asked, read = [], os.read
+    sizes, read = [], os.read
 
     def some(number: int, size: int) -> bytes:
-        asked.append(size)
+        sizes.append(size)
         return read(number, min(size, 4000))
 
     monkeypatch.setattr(os, "read", some)
     assert read_bytes(tmp_path / "file", 20_000) == CONTENT
-    assert asked == [10_240, 6_240, 2_240]
+    assert sizes == [10_240, 6_240, 2_240]
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="Linux states no size here")

@@ -47,7 +47,7 @@ def overlap_ratios(rig: Rig) -> Floats:
     return ratios
 
 
-@lru_cache(maxsize=8)  # a run asks eight times, which takes 7 ms
+@lru_cache(maxsize=8)  # a run calls it eight times, 7 ms in all
 def overlaps(rig: Rig) -> tuple[Overlap, ...]:
     """Pairs of cameras that have 3 % of their images in common, most first."""
     poses = rig.cam0_from_cams
