@@ -116,6 +116,7 @@ def use_apart(part: str) -> None:
     _use_pose_graph()
     _use_whole_path()
     _use_screening()
+    _use_fixed_content()
     _use_rolling_shutter()
     _, packed = cv2.imencode(".png", _image(_texture(), 0.0))
     decode_grey(packed.tobytes())
@@ -169,6 +170,18 @@ def _use_rolling_shutter() -> None:
     rig = replace(rectified_rig(next(_rigs())), readout_s=0.01)
     still = Velocity(np.zeros(3), np.zeros(3))
     disparity_at_middle_row(rig, np.zeros((1, 2)), np.ones(1), still)
+
+
+def _use_fixed_content() -> None:
+    """Call what only a recording of which most has moved needs."""
+    from vo.engine.frontend.image_fixed import ImageFixedDetector
+    from vo.engine.frontend.image_gradients import displacement, gradients_of
+
+    detector, images = ImageFixedDetector(), [_image(_texture(), n) for n in range(12)]
+    for image in images:
+        detector.update((image,), _SIZE)
+    now, other = gradients_of(images[0]), gradients_of(images[1])
+    displacement(now, other.u, other.v)
 
 
 def _use_screening() -> None:

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from vo.base.compiling.function import compiled
 from vo.base.faults import Fault, FaultKind
 from vo.base.geometry.quantiles import percentiles
 from vo.base.types import Bools, Bytes, Floats32
@@ -56,9 +57,7 @@ _MAX_AREA, _MAX_TOP, _MAX_OPPOSITE = 0.33, 0.35, 0.1
 _MAX_KEPT_DRIFT_PX, _MIN_KEPT, _NEIGHBOURS = 0.15, 0.75, (31, 31)
 # Ratio of texture that must move, in how many comparisons, while most of the image never has.
 _MIN_LONG_PASSING, _LONG = 0.3, 15
-# Images that the mean gradient remembers, and the weight of the newest after so many.
-_MEAN_OF = 8
-_WEIGHTS = (1.0 / (1.0 + np.arange(256))).astype(np.float32)
+_MEAN_OF = 8  # images that the mean gradient remembers
 _MOST = 0.6  # of what is fixed, for the place where it lies
 _GROWTH_PX = 8  # added round what is fixed, pixels of the image of half the size: half a feature
 _SETTLED = 8  # comparisons after which a recording is taken to be free of such content
@@ -240,14 +239,9 @@ class ImageFixedDetector:
         mean_u, mean_v = self._mean
         energy = mean_product(mean_u, mean_v, mean_u, mean_v)
         similar = correlation(now, mean_u, mean_v, energy)
-        same = textured & (similar > _SAME_AS_MEAN) & (energy > 0.5 * _MIN_TEXTURE)
-        self._run = np.minimum(self._run + same, _MEAN_OF, dtype=np.uint8) * same
-        for first, gradient in zip(self._first, now, strict=False):
-            cv2.copyTo(gradient, (~same).view(np.uint8), first)
-        weight = cv2.LUT(self._run, _WEIGHTS)
-        mean_u += weight * (now.u - mean_u)
-        mean_v += weight * (now.v - mean_v)
-        self._fixed &= ~(textured & (similar < _MOVED))
+        _count(textured, similar, energy, self._run, self._fixed)
+        for gradient, mean, first in zip((now.u, now.v), self._mean, self._first, strict=True):
+            _renew(gradient, mean, first, self._run)
         if self._background is not None:
             stood = int(np.count_nonzero(self._background))
             if np.count_nonzero(self._background & moved) > _MIN_RELEASE * stood:
@@ -314,6 +308,32 @@ class ImageFixedDetector:
             grown |= self._border
         full = cv2.resize(grown, self._shape[::-1], interpolation=cv2.INTER_NEAREST)
         return np.asarray(1 - full, dtype=np.uint8)
+
+
+@compiled
+def _count(textured, similar, energy, run, fixed):  # type: ignore[no-untyped-def]
+    """Continue the runs of what is the same as the mean, of an energy; what has moved is free."""
+    for y in range(len(run)):
+        at, likeness, of_mean = textured[y], similar[y], energy[y]
+        lengths, is_fixed = run[y], fixed[y]
+        for x in range(len(at)):
+            is_same = at[x] & (likeness[x] > np.float32(_SAME_AS_MEAN))
+            is_same &= of_mean[x] > np.float32(0.5 * _MIN_TEXTURE)
+            lengths[x] = (lengths[x] + (lengths[x] < _MEAN_OF)) * is_same
+            is_fixed[x] &= not (at[x] & (likeness[x] < np.float32(_MOVED)))
+
+
+@compiled(error_model="numpy")
+def _renew(gradient, mean, first, run):  # type: ignore[no-untyped-def]
+    """Add gradients to the mean, and to the first ones where a run may begin."""
+    for y in range(len(run)):
+        newest, before, at_first, lengths = gradient[y], mean[y], first[y], run[y]
+        for x in range(len(newest)):
+            weight = np.float32(1.0) / np.float32(lengths[x] + 1)
+            before[x] += weight * (newest[x] - before[x])
+        for x in range(len(newest)):
+            now, kept = newest[x], at_first[x]
+            at_first[x] = now if lengths[x] == 0 else kept
 
 
 def place_of(fixed: Bools) -> str:
