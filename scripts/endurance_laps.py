@@ -18,6 +18,7 @@ import numpy as np
 from vo.base.config import load_config
 from vo.base.faults import Fault
 from vo.base.geometry.similarity import umeyama
+from vo.base.scheduling import share_one_heap
 from vo.base.types import Bytes, Frame, Rig, Skipped, Trajectory
 from vo.engine.backend.pose_graph import PoseGraph
 from vo.engine.memory.recognition import Recognised, Recogniser
@@ -85,6 +86,7 @@ class RepeatedLaps:
 
 def main() -> None:
     """Run, with a line of `memory.csv` for each stored keyframe."""
+    share_one_heap()  # as the command does
     output, frames, preset, mode, recording = sys.argv[1:]
     folder = Path(output)
     folder.mkdir(parents=True)

@@ -1,10 +1,14 @@
-"""Cores, and scheduling of helper threads on busy machines."""
+"""Cores, threads on busy machines, and the memory that they share."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+
+_M_ARENA_MAX = -8  # of glibc's malloc.h
 
 
 def give_way() -> None:
@@ -17,6 +21,17 @@ def give_way() -> None:
     if hasattr(os, "SCHED_BATCH"):
         with suppress(OSError):  # forbidden in some containers
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def share_one_heap() -> None:
+    """Let all threads that start from now on take memory from one heap; Linux with glibc only.
+
+    Each would have one of its own, and keep there what it no longer needs: 17 of 264 MiB after
+    6,000 frames. CPU time is the same (docs/experiments/long-runs.md).
+    """
+    if sys.platform == "linux":
+        with suppress(OSError, AttributeError):  # another C library
+            ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from vo.base.scheduling import share_one_heap
 from vo.cli.echo import echo, echo_error
 from vo.cli.flags import given_words, known_flags
 from vo.cli.garbage import collection_paused
@@ -50,6 +51,7 @@ def execute(request: RunRequest) -> None:
         with collection_paused():
             config = _settings(request)
             import vo.runs.run_recording  # noqa: F401 - loading it collects no garbage
+        share_one_heap()
         errors = cache(_standard_error)  # for the first line
         stack.enter_context(warnings_on(None if quiet else errors, quiet=quiet))
         is_quiet = quiet or _is_terminal_for_poses(request.outputs)

@@ -58,6 +58,26 @@ def test_what_keyframes_of_a_segment_that_is_too_large_observe_is_not_kept(
     assert (adjusted is None) == (stored == 0)
 
 
+@pytest.mark.parametrize(("widest", "stored"), [(39, 40), (20, 0)])
+def test_what_is_too_wide_to_be_adjusted_is_forgotten_before_the_end(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, widest: int, stored: int
+) -> None:
+    monkeypatch.setattr(loop_bundle, "MAX_WIDTH", widest)
+    circle = _circle()
+    circle.bundle.forget_wide(0, [])
+    assert len(circle.bundle._stored) == 40  # without loops nothing is adjusted that is wide
+    circle.bundle.forget_wide(0, circle.loops)
+    assert len(circle.bundle._stored) == stored
+    assert ("will not be adjusted" in caplog.text) == (stored == 0)
+    _add_another(circle)
+    assert len(circle.bundle._stored) == (41 if stored else 0)
+
+
+def _add_another(circle: _Circle) -> None:
+    pose, points = circle.truth[0], np.array([[0.0, 0.0, 4.0], [0.1, 0.0, 4.0]])
+    _add(circle.bundle, _COUNT, pose, pose, 1.0, points, 0)
+
+
 def _circle() -> _Circle:
     random = np.random.default_rng(3)
     angle = np.linspace(0.0, 4 * np.pi, _COUNT, endpoint=False)

@@ -29,7 +29,6 @@ _log = logging.getLogger(__name__)
 _HUBER = 1.345  # standard deviations from which the error of a motion weighs less
 _FIRST_DAMPING, _MAX_DAMPING = 1e-8, 1e3  # relative to the diagonal of the hessian
 _MAX_STEPS = 30
-_MAX_WIDTH = 800  # poses of adjacent levels: steps of so many take 5 s and 0.6 GB
 _MIN_DECREASE = 1e-4  # of the cost, relative to it, below which steps end
 # On variances: errors of long tracks have more in common (docs/experiments/covariances.md).
 _MORE_ALIKE = 2.0
@@ -51,6 +50,7 @@ class Motions(NamedTuple):
     covariance: Floats
 
 
+MAX_WIDTH = 800  # poses of adjacent levels: steps of so many take 5 s and 0.6 GB
 _NO_ROWS = np.empty(0, np.int64)
 NO_MOTIONS = Motions(_NO_ROWS, _NO_ROWS, np.empty((0, 4, 4)), np.empty((0, 6, 6)))
 
@@ -77,7 +77,7 @@ def adjust_path(
     if len(problem.world_from_cam) < 2 or not usable.any():
         return None
     problem, motions, levels = _ordered(problem, motions, usable)
-    if levels.width > _MAX_WIDTH:
+    if levels.width > MAX_WIDTH:
         _log.warning("a path of which %d poses see the same is not adjusted", levels.width)
         return None
     path, damping = _Path(problem, usable, config, motions, levels), _FIRST_DAMPING
@@ -143,23 +143,29 @@ def calibration_step(problem: WindowProblem, config: SmoothingConfig) -> Floats:
     return np.asarray(-np.linalg.solve(left[:, :size], left[:, size]))
 
 
+def levels_by(point_ok: Bools, point: Ints, keyframe: Ints, count: int, ends: Ints) -> Levels:
+    """Those of poses coupled by landmarks, and by motions between the rows in `ends` (L, 2)."""
+    coupled = coupled_poses(point_ok, point, keyframe, count)
+    coupled[:_OF_UNIT, :_OF_UNIT] = True
+    coupled[ends[:, 0], ends[:, 1]] = coupled[ends[:, 1], ends[:, 0]] = True
+    return levels_of(coupled)
+
+
 def _ordered(
     problem: WindowProblem, motions: Motions, usable: Bools
 ) -> tuple[WindowProblem, Motions, Levels]:
     """The same with poses in the order of levels."""
     count = len(problem.world_from_cam)
-    coupled = coupled_poses(usable, problem.point, problem.keyframe, count)
-    coupled[:_OF_UNIT, :_OF_UNIT] = True
-    coupled[motions.earlier, motions.later] = coupled[motions.later, motions.earlier] = True
-    levels = levels_of(coupled)
+    ends = np.column_stack([motions.earlier, motions.later])
+    levels = levels_by(usable, problem.point, problem.keyframe, count, ends)
     place = levels.place
     problem = replace(
         problem,
         world_from_cam=problem.world_from_cam[levels.order],
         keyframe=place[problem.keyframe],
     )
-    ends = place[motions.earlier], place[motions.later]
-    return problem, motions._replace(earlier=ends[0], later=ends[1]), levels
+    motions = motions._replace(earlier=place[motions.earlier], later=place[motions.later])
+    return problem, motions, levels
 
 
 def _usable(problem: WindowProblem) -> Bools:

@@ -192,7 +192,7 @@ class FinalAdjustment:
         by_sensor = int(registered.world[0]) in self._trajectory.store.metric.worlds_with_sensor
         connected: PathViews | None = None
         has_lens_error = rig.k1_error != 0.0 and not rig.is_metric
-        inside = loops_inside(registered, loops)
+        inside = loops_inside(registered.keys, loops)
         motions = measured_motions(inside, registered.scale)
         pairs = [self._pairs.get(each.keyframe.id) for each in stored]
         measured = views = _views(registered, stored)

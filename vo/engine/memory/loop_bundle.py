@@ -8,6 +8,7 @@ two cameras the pose graph alone is as accurate (docs/experiments/loop-verificat
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,15 +19,25 @@ import numpy as np
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.types import Floats, Floats32, Ints
-from vo.engine.backend.loop_adjustment import NO_MOTIONS, AdjustedPath, Motions, adjust_path
+from vo.base.types import Floats, Floats32, Ints32
+from vo.engine.backend.loop_adjustment import (
+    MAX_WIDTH,
+    NO_MOTIONS,
+    AdjustedPath,
+    Motions,
+    adjust_path,
+    levels_by,
+)
 from vo.engine.backend.window_problem import WindowProblem
 from vo.engine.mapping.keyframe import FrameId, Keyframe
 from vo.engine.mapping.keyframe_store import StoredLandmarks
 from vo.engine.places.records import Loop, PlaceKey, RegisteredKeyframes
 
+_log = logging.getLogger(__name__)
+
 _MAX_KEYFRAMES = 2000  # some twenty seconds for so many
-_MAX_STORED = 20_000  # in all segments; each takes some 10 kB
+_MAX_STORED = 20_000  # in all segments; each takes some 20 kB
+_NEXT_CHECK = 1.2  # more keyframes after a check of what sees the same
 _MAX_MORE_SCALE, _MIN_SCALE_ERROR = 1.5, 0.001  # of scales at loops, relative to the graph
 
 
@@ -40,7 +51,7 @@ class _Observations(NamedTuple):
     """
 
     frame: FrameId
-    landmark: Ints
+    landmark: Ints32
     xyz: Floats32
     xy: Floats32
     sigma_px: Floats32
@@ -49,7 +60,7 @@ class _Observations(NamedTuple):
 class LoopBundle:
     """Keeps the observations of stored keyframes, and adjusts worlds with loops by them.
 
-    Those of segments that are too large are not kept.
+    Those of segments that are too large are not kept, nor those that the adjustment would refuse.
     """
 
     def __init__(self, intrinsics: Intrinsics, config: SmoothingConfig) -> None:
@@ -57,6 +68,7 @@ class LoopBundle:
         self._config = config
         self._stored: dict[PlaceKey, _Observations] = {}
         self._keyframes: Counter[int] = Counter()  # added, by segment
+        self._next_check: dict[int, float] = {}  # that number of keyframes, by segment
 
     def add(self, key: PlaceKey, keyframe: Keyframe, landmarks: StoredLandmarks) -> None:
         """Keep what a keyframe observes."""
@@ -70,11 +82,34 @@ class LoopBundle:
         xyz = transform_points(inverse(keyframe.world_from_cam), landmarks.xyz)
         self._stored[key] = _Observations(
             keyframe.frame,
-            landmarks.id,
+            landmarks.id.astype(np.int32),
             xyz.astype(np.float32),
             keyframe.xy[order].astype(np.float32),
             keyframe.sigma_px[order].astype(np.float32),
         )
+
+    def forget_wide(self, segment: int, loops: Sequence[Loop]) -> None:
+        """Forget a segment so many keyframes of which see the same that it will not be adjusted."""
+        count = self._keyframes[segment]
+        if not loops or not self._next_check.get(segment, MAX_WIDTH) < count <= _MAX_KEYFRAMES:
+            return
+        self._next_check[segment] = _NEXT_CHECK * count
+        stored = {k: each for k, each in self._stored.items() if each.frame.segment == segment}
+        ends = [(a, b) for a, b, _ in loops_inside(list(stored), loops)]
+        point = np.unique(
+            np.concatenate([each.landmark for each in stored.values()]), return_inverse=True
+        )[1]
+        width = levels_by(
+            np.bincount(point) >= 2,
+            point,
+            np.repeat(np.arange(len(stored)), [len(each.landmark) for each in stored.values()]),
+            len(stored),
+            np.array(ends, np.int64).reshape(-1, 2),
+        ).width
+        if width > MAX_WIDTH:
+            _log.warning("a path of which %d poses see the same will not be adjusted", width)
+            self._keyframes[segment] = _MAX_KEYFRAMES
+            self._keep(lambda frame: frame.segment != segment)
 
     def remove_from(self, frame_index: int) -> None:
         """Forget keyframes of a frame and those after it, which are tracked anew."""
@@ -97,7 +132,7 @@ class LoopBundle:
             loops: that the pose graph accepts; those of other worlds are ignored.
         """
         stored = self._observations(registered.keys)
-        scale, inside = registered.scale, loops_inside(registered, loops)
+        scale, inside = registered.scale, loops_inside(registered.keys, loops)
         if stored is None or not inside:
             return None
         problem = self._problem(stored, registered.world_from_cam, scale)
@@ -142,11 +177,9 @@ class LoopBundle:
         )
 
 
-def loops_inside(
-    registered: RegisteredKeyframes, loops: Sequence[Loop]
-) -> list[tuple[int, int, Loop]]:
+def loops_inside(keys: Sequence[PlaceKey], loops: Sequence[Loop]) -> list[tuple[int, int, Loop]]:
     """Rows of the earlier and the later keyframe of loops, of those that have both."""
-    row = {key: n for n, key in enumerate(registered.keys)}
+    row = {key: n for n, key in enumerate(keys)}
     ends = [(row.get(loop.earlier), row.get(loop.later), loop) for loop in loops]
     return [(a, b, loop) for a, b, loop in ends if a is not None and b is not None]
 

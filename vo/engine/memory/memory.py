@@ -264,6 +264,8 @@ class Memory:
         path = self._trajectory if self._inertial is None else self._inertial.map_poses
         path.move_keyframes(connected, self._maker.session)
         self.loops.report(registered.wrong, self._segment)
+        if self._bundle is not None:
+            self._bundle.forget_wide(self._segment, self.loops.accepted)
 
     def _awaits_graph(self) -> bool:
         return self._inertial is not None and self._inertial.map_poses.awaits_graph

@@ -53,6 +53,8 @@ class InvertedIndex:
         self._kept = np.zeros(_BLOCK, np.bool_)
         self._count = 0
         self._length = np.zeros(words, np.int64)  # entries of each word in all blocks
+        nothing = np.zeros(0, np.uint16), np.zeros(0, np.float32)
+        self._empty = _Block(np.zeros(words + 1, np.int32), *nothing, 0)
 
     def add(self, bag: Bag) -> None:
         """Add a bag."""
@@ -125,6 +127,8 @@ class InvertedIndex:
         return self._block(word, bag, weight, int(self._kept[self._count - _BLOCK :].sum()))
 
     def _without_removed(self, block: _Block, kept: Bools) -> _Block:
+        if not kept.any():
+            return self._empty  # the same one: a long run has thousands
         word = np.repeat(np.arange(self._words, dtype=np.int32), np.diff(block.start))
         rows = np.flatnonzero(kept[block.bag])
         return self._block(word[rows], block.bag[rows], block.weight[rows], int(kept.sum()))
