@@ -23,7 +23,6 @@ from vo.base.frozen import frozen
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
-Ints32 = NDArray[np.int32]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 Bools = NDArray[np.bool_]

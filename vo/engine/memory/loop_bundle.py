@@ -15,11 +15,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vo.base.config import SmoothingConfig
 from vo.base.geometry.projection import Intrinsics
 from vo.base.geometry.transforms import inverse, transform_points
-from vo.base.types import Floats, Floats32, Ints32
+from vo.base.types import Floats, Floats32
 from vo.engine.backend.loop_adjustment import (
     MAX_WIDTH,
     NO_MOTIONS,
@@ -51,7 +52,7 @@ class _Observations(NamedTuple):
     """
 
     frame: FrameId
-    landmark: Ints32
+    landmark: NDArray[np.int32]
     xyz: Floats32
     xy: Floats32
     sigma_px: Floats32
