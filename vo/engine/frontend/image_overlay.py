@@ -67,19 +67,23 @@ class OverlayDetector:
         if self._images % _MEAN_OF == 0:
             mean = Gradients(*(np.asarray(total / np.float32(_MEAN_OF)) for total in self._sum))
             if self._mean is not None:
-                self._is_found = _share_of_corners(mean, self._mean, places) > _MIN_RATIO
+                self._is_found = _has_same_corners(mean, self._mean, places)
             self._mean, self._sum = mean, None
 
 
-def _share_of_corners(mean: Gradients, before: Gradients, places: Bools) -> float:
-    """Ratio of places (H, W) that have corners in the same position in two means of gradients."""
+def _has_same_corners(mean: Gradients, before: Gradients, places: Bools) -> bool:
+    """Whether enough places (H, W) have corners in the same position in two means of gradients."""
     at = places & (np.minimum(mean.energy, before.energy) > _MIN_ENERGY)
+    fewest = _MIN_RATIO * max(1, int(np.count_nonzero(at)))
+    u, v = before.u, before.v
     remaining = mean._replace(energy=mean_product(mean.u, mean.v, mean.u, mean.v))
-    found = displacement(remaining, before.u, before.v)
-    is_same = found.is_corner & (found.correlation > _MIN_CORRELATION)
-    is_same &= found.squared_px < _MAX_SHIFT_PX**2
-    count = int(np.count_nonzero(at))
-    return int(np.count_nonzero(at & is_same)) / max(1, count)
+    # Mostly too few, which spares the comparison with shifted means.
+    at &= correlation(remaining, u, v, mean_product(u, v, u, v)) > _MIN_CORRELATION
+    if np.count_nonzero(at) <= fewest:
+        return False
+    found = displacement(remaining, u, v)
+    at &= found.is_corner & (found.squared_px < _MAX_SHIFT_PX**2)
+    return bool(np.count_nonzero(at) > fewest)
 
 
 def _has_moved(similar: Floats32) -> bool:
