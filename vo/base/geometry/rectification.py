@@ -79,7 +79,7 @@ class RectifiedRig:
         """The (3, 3) camera matrix of both rectified cameras."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
-    @property
+    @cached_property
     def intrinsics(self) -> Intrinsics:
         """fx, fy, cx, cy of both rectified cameras."""
         return Intrinsics(self.fx, self.fy, self.cx, self.cy)
@@ -124,7 +124,7 @@ class RectifiedRig:
         ideal = Camera(*size, *self.intrinsics, "radtan", (0.0, 0.0, 0.0, 0.0))
         return self.lens or ideal
 
-    @property
+    @cached_property
     def _disparity_model(self) -> tuple[float, ...]:
         return self.cx, self.fx, float(self.disparity_offset_px), float(self.disparity_curve_px)
 

@@ -51,6 +51,11 @@ class Observations:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def with_disparity(self, disparity: Floats) -> Observations:
+        """The same with other disparities (n,)."""
+        before, after = (self.rows, self.image_xy, self.xy), (self.sigma_px, self.score)
+        return Observations(*before, disparity, *after, self.scale, self.slope)
+
 
 @frozen(eq=False)
 class TrackedFrame:

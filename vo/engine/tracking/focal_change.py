@@ -48,14 +48,15 @@ class FocalChangeDetector:
         self.faults = self._faults()
 
     def _faults(self) -> tuple[Fault, ...]:
-        if len(self._recent) < _RECENT:
+        weights = [1.0 / (sigma * sigma + _SYSTEMATIC**2) for _, sigma, _ in self._recent]
+        weight = sum(weights)
+        if len(weights) < _RECENT or weight == 0.0:
             return ()
-        change, sigma, explained = np.array(self._recent).T
-        weight = 1.0 / (sigma**2 + _SYSTEMATIC**2)
-        mean = float(np.average(change, weights=weight))
+        mean = sum(w * each[0] for w, each in zip(weights, self._recent, strict=True)) / weight
         self._is_settled |= abs(mean) < _SETTLED
-        limit = max(_MIN_CHANGE, _MIN_SIGNIFICANCE * weight.sum() ** -0.5)
-        if not self._is_settled or abs(mean) < limit or explained.mean() < _MIN_EXPLAINED:
+        limit = max(_MIN_CHANGE, _MIN_SIGNIFICANCE * weight**-0.5)
+        explained = sum(each[2] for each in self._recent) / _RECENT
+        if not self._is_settled or abs(mean) < limit or explained < _MIN_EXPLAINED:
             return ()
         return (Fault(FaultKind.FOCAL_LENGTH_CHANGE, value=mean),)
 
@@ -65,7 +66,7 @@ class FocalChangeDetector:
         fit = residuals.fit(residuals.xy.reshape(-1, 1))
         if fit is None:  # too few landmarks
             return 0.0, np.inf, 1.0
-        variance = np.linalg.inv(fit.information)[6, 6]
+        variance = float(np.linalg.inv(fit.information)[6, 6])
         pose = np.linalg.solve(fit.information[:6, :6], fit.weighted[:6] @ residuals.error)
         unscaled = median_length(residuals.error - residuals.by_pose @ pose)
         return float(fit.values[6]), variance**0.5, unscaled / max(median_length(fit.left), 1e-12)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from vo.base.compiling.function import compiled
-from vo.base.geometry.transforms import inverse, transform_points
+from vo.base.geometry.transforms import inverse
 from vo.base.types import Bools, Bytes, Floats, Ints
 from vo.engine.frontend.frontend import Frontend
 from vo.engine.frontend.optical_flow import follow
@@ -75,10 +73,11 @@ class LandmarkAligner:
             return observed
         rig = self._map.rig
         xyz = self._map.xyz.take(observed.rows, axis=0)  # several times as fast as [rows]
-        in_cam = transform_points(inverse(world_from_cam), xyz)
-        guess = rig.fx * rig.baseline_m / in_cam[:, 2]
+        cam_from_world = inverse(world_from_cam)
+        depth = (xyz @ cam_from_world[:3, :3].T)[:, 2] + cam_from_world[2, 3]
+        guess = rig.fx * rig.baseline_m / depth
         disparity = self._stereo.measure(frame, observed.image_xy, guess, rig, observed.slope)
-        return replace(observed, disparity=disparity)
+        return observed.with_disparity(disparity)
 
 
 @compiled

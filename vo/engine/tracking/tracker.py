@@ -268,7 +268,7 @@ class Tracker:
     ) -> Iterator[_InitialPose]:
         """Poses to refine, the most accurate and cheapest first."""
         if self.last is not None and last_from_cam is not None:
-            enough = _MIN_SPARSE_RATIO * int(self.last.inlier.sum())
+            enough = _MIN_SPARSE_RATIO * int(np.count_nonzero(self.last.inlier))
             yield _InitialPose(self._motion.last @ last_from_cam, enough)
         predicted = self._motion.predict(frame.stamp_ns)
         if self._motion.prior(frame.stamp_ns) is not None:
@@ -359,7 +359,7 @@ class Tracker:
             in_view = int(np.count_nonzero(self._map.found[visible.rows] > 1))
         self._map.visible[visible.rows] += 1
         self._map.found[observed.rows[fit.inlier]] += 1
-        if int(fit.inlier.sum()) < self._min_inliers(in_view):
+        if np.count_nonzero(fit.inlier) < self._min_inliers(in_view):
             return None
         cam_from_world, prior = fit.cam_from_world, self._motion.prior(frame.stamp_ns)
         if prior is not None:

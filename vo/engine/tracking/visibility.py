@@ -73,7 +73,8 @@ def visible_landmarks(
     if max_count is not None and len(rows) > max_count:
         found = np.minimum(local_map.found.take(rows), _MAX_COUNT)
         rank = found * len(local_map) + rows  # rows are in order of the landmarks' ids
-        kept = np.sort(np.argpartition(rank, len(rank) - max_count)[len(rank) - max_count :])
+        first = len(rank) - max_count
+        kept = (rank >= np.partition(rank, first)[first]).nonzero()[0]
         rows, xy, image_xy = rows.take(kept), xy.take(kept, axis=0), image_xy.take(kept, axis=0)
     here = np.full(len(rows), len(poses) - 1)
     seen = predict_patches(
