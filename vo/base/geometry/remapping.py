@@ -79,12 +79,14 @@ class _Blocks:
         for pixel in pixels:
             is_left[:, pixel] &= ~is_block
         self.rest = np.flatnonzero(is_left)
+        is_all = _SIDE * len(self._place) + len(self.rest) == self._part.size
+        self._new = np.empty if is_all else np.zeros  # pixels outside remain 0
         self._whole_of_rest = whole.reshape(-1, 1, 2)[self.rest]
         self._part_of_rest = self._part.reshape(-1, 1)[self.rest]
 
     def blend(self, image: Bytes) -> Bytes:
         """The image at the positions of the maps."""
-        result: Bytes = np.zeros(self._part.shape, np.uint8)
+        result: Bytes = self._new(self._part.shape, np.uint8)
         flat = result.reshape(-1)
         pixels, width = image.reshape(-1), image.shape[1]
         _blend_all(pixels, width, self._source, self._place, self._code, flat)

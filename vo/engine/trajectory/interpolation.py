@@ -43,7 +43,7 @@ class InterpolatedFrames:
 def fill(poses: Floats, fraction: Floats) -> None:
     """Interpolate (n, 4, 4) along the geodesic where the fraction is not 0, from tracked ones."""
     added = (fraction > 0).nonzero()[0].tolist()
-    tracked = (fraction == 0).nonzero()[0]
+    tracked = (fraction == 0).nonzero()[0] if added else fraction
     for row in added:
         after = int(np.searchsorted(tracked, row))
         first, last = poses[tracked[after - 1]], poses[tracked[after]]

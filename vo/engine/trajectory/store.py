@@ -308,8 +308,11 @@ class TrajectoryStore:
         frames = self.frames[row:]
         rows = self._keyframe_rows(frames["keyframe"])
         frame_index, fraction = frames["frame_index"].copy(), frames["fraction"]
-        inertial = np.minimum(fraction, 0.0).astype(np.int64)
-        is_keyframe = (self._keyframes.rows["frame_index"][rows] == frame_index) & (inertial == 0)
+        is_keyframe = self._keyframes.rows["frame_index"][rows] == frame_index
+        inertial = None
+        if self._inertial:
+            inertial = np.minimum(fraction, 0.0).astype(np.int64)
+            is_keyframe &= inertial == 0
         world = segment = frames["segment"].astype(np.int64)
         if self._worlds:
             world = np.array([self.world(number) for number in segment.tolist()], np.int64)
@@ -350,8 +353,8 @@ class TrajectoryStore:
 
     def _poses(self, row: int, frame: str) -> Floats:
         """Poses (n, 4, 4) of all frames from a row on, by the name of the keyframes' poses."""
-        first = row
-        while first < len(self._frames) and self.frames["fraction"][first] > 0:
+        first, fraction = row, self.frames["fraction"]
+        while first < len(fraction) and fraction[first] > 0:
             first -= 1
         frames = self.frames[first:]
         rows = self._keyframe_rows(frames["keyframe"])

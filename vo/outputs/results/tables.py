@@ -74,11 +74,12 @@ FRAMES_HEADING = ",".join(
     )
 )
 
+_FRAME = "%d,%d,%s" + ",%d" * 5 + ",%.3f" * (1 + len(STAGES))
+
 
 def frame_line(estimate: Estimate, stage_ms: Mapping[str, float]) -> str:
     """One frame with its wall time by stage, 0 for a stage that was not run."""
     counts = (estimate.features, estimate.matches, estimate.inliers)
     place = (estimate.frame_index, estimate.stamp_ns, estimate.state.value, estimate.segment)
     spent = (sum(stage_ms.values()), *(stage_ms.get(stage, 0.0) for stage in STAGES))
-    fields = (*place, int(estimate.is_keyframe), *counts, *(f"{ms:.3f}" for ms in spent))
-    return ",".join(map(str, fields))
+    return _FRAME % (*place, int(estimate.is_keyframe), *counts, *spent)
