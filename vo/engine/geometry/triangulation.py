@@ -101,12 +101,14 @@ def triangulate_pixels(
     min_parallax_rad: float,
     min_parallax_ratio: float,
     max_error_px: float,
+    reach_px: Floats | None = None,
 ) -> TriangulatedPoints:
     """Triangulate matched pixels and check the points.
 
     Undistorted pixels (N, 2) of both views; rays must differ by `min_parallax_rad`, and by
     `min_parallax_ratio` of the angle by which the point has moved in the image; errors of
-    reprojection must be below `max_error_px` in either view.
+    reprojection must be below `max_error_px` in either view. If pixels of the second view may still
+    move by `reach_px` (N,), valid are those that may then have enough parallax.
     """
     found = _triangulate_pixels(
         np.ascontiguousarray(second_from_first),
@@ -117,18 +119,19 @@ def triangulate_pixels(
         min_parallax_rad,
         min_parallax_ratio,
         max_error_px,
+        np.empty(0) if reach_px is None else reach_px,
     )
     return TriangulatedPoints(*found)
 
 
 @compiled
 def _triangulate_pixels(  # type: ignore[no-untyped-def]
-    motion, centre, first, second, intrinsics, min_rad, min_ratio, max_px
+    motion, centre, first, second, intrinsics, min_rad, min_ratio, max_px, reach_px
 ):
     points, angle = _triangulate(
         motion, centre, _rays(first, intrinsics), _rays(second, intrinsics)
     )
-    limits = min_rad, min_ratio, max_px
+    limits = min_rad, min_ratio, max_px, reach_px
     return points, _valid(motion, points, angle, first, second, intrinsics, limits), angle
 
 
@@ -143,7 +146,7 @@ def _rays(xy, intrinsics):  # type: ignore[no-untyped-def]
 
 @compiled
 def _valid(motion, points, angle, first, second, intrinsics, limits):  # type: ignore[no-untyped-def]
-    min_rad, min_ratio, max_px = limits
+    min_rad, min_ratio, max_px, reach_px = limits
     valid = np.zeros(len(points), dtype=np.bool_)
     for n in range(len(points)):
         x, y, z = points[n]
@@ -151,7 +154,11 @@ def _valid(motion, points, angle, first, second, intrinsics, limits):  # type: i
             (second[n, 0] - first[n, 0]) / intrinsics.fx,
             (second[n, 1] - first[n, 1]) / intrinsics.fy,
         )
-        if not (0.0 < z < np.inf and angle[n] >= max(min_rad, min_ratio * moved_rad)):
+        enough = max(min_rad, min_ratio * moved_rad)
+        if len(reach_px) > 0:
+            valid[n] = not angle[n] + reach_px[n] / intrinsics.fx < enough
+            continue
+        if not (0.0 < z < np.inf and angle[n] >= enough):
             continue
         u, v = project(intrinsics, x, y, z)
         if np.hypot(u - first[n, 0], v - first[n, 1]) >= max_px:

@@ -99,6 +99,8 @@ _FEW_LANDMARKS = 150  # a keyframe with fewer landmarks accepts those of turns t
 # With even fewer this parallax is enough: depths within a quarter of the truth keep tracking alive
 # while the camera turns past a blank wall.
 _VERY_FEW_LANDMARKS, _MIN_PARALLAX_VERY_FEW_DEG = 100, 0.3
+# Rays move by less than this times the pixels of the image, in any usable part of a lens.
+_MAX_STRETCH = 2.0
 _MAX_CORRECTION_PX = 3.0  # of a match, when its patch is predicted with the surface
 
 
@@ -207,6 +209,8 @@ class KeyframeTriangulator:
             return
         points = self._points(pair, search)
         valid = points.valid.nonzero()[0]
+        if len(valid) == 0:
+            return
         pair = pair.select(valid)
         found = self._align_on_surfaces(pair, points.xyz.take(valid, axis=0))
         good = self._patches.is_found(found)
@@ -252,16 +256,27 @@ class KeyframeTriangulator:
         )
         if len(matches.query) == 0:
             return None
-        rows, size = rows.take(matches.query), size.take(matches.train)
-        query, train = query.take(rows), train.take(matches.train)
-        older_xy = older_xy.take(rows, axis=0)
+        rows, train = rows.take(matches.query), train.take(matches.train)
         guess = newer.keypoints.xy[train].astype(np.float64)
-        warp = self._turned(older_xy, newer_from_older) if search.turns else None
-        found = self._patches.align(self._patches_of(older, query, warp), image, guess)
-        good = self._patches.is_found(found)
-        good &= distances(found.xy, guess) <= 1.0 + 1.5 * size
+        xy = newer.undistorted_xy.take(train, axis=0)
+        if newer.velocity is not None:
+            xy = at_middle_row(self._map.rig, guess, 1.0 / depth, newer.velocity)
         views = older, newer, image, newer_from_older, 1.0 / depth
-        pair = _Pair(*views, query, train, older_xy, guess, guess)
+        pair = _Pair(*views, query.take(rows), train, older_xy.take(rows, axis=0), guess, xy)
+        return self._aligned(pair, 1.0 + 1.5 * size.take(matches.train), search)
+
+    def _aligned(self, pair: _Pair, reach_px: Floats, search: Search) -> _Pair:
+        """The matches whose patches are found within `reach_px` (N,).
+
+        Those are left out whose rays would differ too little there, which most do.
+        """
+        possible = self._points(pair, search, _MAX_STRETCH * reach_px).valid.nonzero()[0]
+        pair, reach_px = pair.select(possible), reach_px.take(possible)
+        warp = self._turned(pair.older_xy, pair.newer_from_older) if search.turns else None
+        patches = self._patches_of(pair.older, pair.query, warp)
+        found = self._patches.align(patches, pair.image, pair.image_xy)
+        good = self._patches.is_found(found)
+        good &= distances(found.xy, pair.image_xy) <= reach_px
         return pair.moved(good, found.xy, self._map.rig)
 
     def _patches_of(
@@ -270,8 +285,10 @@ class KeyframeTriangulator:
         xy = keyframe.keypoints.xy[rows].astype(np.float64)
         return patches_of(self._map.images[keyframe.slot], xy, reference_from_target)
 
-    def _points(self, pair: _Pair, search: Search) -> TriangulatedPoints:
-        """Triangulated points in the frame of the older keyframe."""
+    def _points(
+        self, pair: _Pair, search: Search, reach_px: Floats | None = None
+    ) -> TriangulatedPoints:
+        """Triangulated points in the frame of the older keyframe, see `triangulate_pixels`."""
         return triangulate_pixels(
             pair.newer_from_older,
             pair.older_xy,
@@ -280,6 +297,7 @@ class KeyframeTriangulator:
             min_parallax_rad=float(np.deg2rad(search.min_deg)),
             min_parallax_ratio=search.min_ratio,
             max_error_px=self._config.gate * self._patches.sigma_px,
+            reach_px=reach_px,
         )
 
     def _at_middle_rows(self, pair: _Pair, search: Search) -> _Pair:
