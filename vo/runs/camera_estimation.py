@@ -169,9 +169,11 @@ def corrected_camera(
     given = Lens(float(np.sqrt(camera.fx * camera.fy)), camera.cx, camera.cy, k1, k2)
     views = tracked.views(rows, np.array(search.middle))
     changes = []
-    for part in search.parts(AdjustedLens(given, views)):
+    # The last third first: the lens has been corrected when it was tracked, so that it is adjusted
+    # in fewer steps, and is the first to agree with the calibration.
+    for part in search.parts(AdjustedLens(given, views), last_first=True):
         changes.append(float(np.log(part.lens.focal / given.focal)))
-        if abs(changes[-1]) < _MIN_WRONG:  # most often the first one
+        if abs(changes[-1]) < _MIN_WRONG:
             return None
     sigma = float(np.std(changes, ddof=1)) / np.sqrt(_PARTS)
     if len(changes) < _PARTS or not _is_wrong(np.array(changes), sigma):
@@ -318,13 +320,14 @@ class _Search:
             adjusted = self._adjusted(adjusted.views, straight, IDEAL) or adjusted
         return adjusted, used
 
-    def parts(self, adjusted: AdjustedLens) -> Iterator[AdjustedLens]:
+    def parts(self, adjusted: AdjustedLens, *, last_first: bool = False) -> Iterator[AdjustedLens]:
         """The lens by each third of the keyframes alone, or each half of few."""
         keyframes = len(adjusted.views.world_from_cam)
         count = _PARTS if keyframes >= _PARTS * _MIN_KEYFRAMES else 2
         bounds = np.linspace(0, keyframes, count + 1).astype(int)
         columns = IDEAL if adjusted.lens.k1 == 0.0 else WITH_CENTRE
-        for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+        parts = list(zip(bounds[:-1], bounds[1:], strict=True))
+        for first, last in reversed(parts) if last_first else parts:
             if last - first >= _MIN_KEYFRAMES:
                 views = adjusted.views.part(first, last)
                 part = self._adjusted(views, adjusted.lens, columns)
