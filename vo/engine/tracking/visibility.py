@@ -54,7 +54,7 @@ def visible_landmarks(
     Of more than `max_count` those found most often, then the newest.
     """
     rig, keyframes = local_map.rig, local_map.keyframes
-    poses = np.stack([*(k.world_from_cam for k in keyframes), world_from_cam])
+    poses = np.array([*(k.world_from_cam for k in keyframes), world_from_cam])
     first = keyframes[0].id if keyframes else 0
     reference = local_map.reference - first
     inside = (BORDER_PX, BORDER_PX, rig.width - BORDER_PX, rig.height - BORDER_PX)

@@ -84,7 +84,7 @@ class TrajectoryBuilder:
         """Store new poses and covariances of keyframes."""
         if not keyframes:
             return
-        poses = self.world_from_cam0(np.stack([k.world_from_cam for k in keyframes]))
+        poses = self.world_from_cam0(np.array([k.world_from_cam for k in keyframes]))
         stored = []
         for keyframe, pose in zip(keyframes, poses, strict=True):
             covariance = keyframe.covariance
