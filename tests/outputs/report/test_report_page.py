@@ -78,6 +78,7 @@ def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sections, "inline_svg", lambda figure, prefix, caption: empty)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_page_contains_the_numbers_of_its_run(
     report_runs: list[Path], synthetic_stereo: Path, tmp_path: Path
 ) -> None:
@@ -124,6 +125,7 @@ def test_a_page_is_self_contained(report_runs: list[Path], tmp_path: Path) -> No
     assert len(page.source) < 1_500_000
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_several_runs_are_compared_in_one_table(report_runs: list[Path], tmp_path: Path) -> None:
     page = page_of(tmp_path, *report_runs)
     assert "2 runs compared" in page.text
@@ -268,6 +270,7 @@ def test_a_georeferenced_run_is_shown_on_a_map(own_run: Path, tmp_path: Path) ->
     assert "path.geojson is damaged" in make(own_run, expect=1)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_with_gps_is_shown_on_a_map_of_its_positions(own_run: Path, tmp_path: Path) -> None:
     path = read_tum(own_run / "trajectory.tum")
     turned = path.positions[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
@@ -491,6 +494,7 @@ def test_the_error_names_the_damaged_file(own_run: Path, tmp_path: Path) -> None
     assert "frames.csv is damaged" in make(own_run, "-o", tmp_path / "r.html", expect=1)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_report_that_cannot_be_written_is_an_error(own_run: Path, tmp_path: Path) -> None:
     assert "cannot be written" in make(own_run, "-o", tmp_path, expect=1)
 
@@ -525,5 +529,6 @@ def test_markers_are_drawn_and_listed(own_run: Path, tmp_path: Path) -> None:
     assert "markers.csv is damaged" in make(own_run, expect=1)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_without_markers_has_no_table_of_them(own_run: Path, tmp_path: Path) -> None:
     assert "Markers" not in page_of(tmp_path, own_run, "--no-images").text
