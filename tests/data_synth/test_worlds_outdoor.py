@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ from data_synth.scene import builder
 from data_synth.scene.render import Rendered, camera_rays, render
 from data_synth.scene.scene import Scene
 from data_synth.scene.shutter import static_shutter
-from data_synth.scene.world import World, clearance
+from data_synth.scene.world import World, build_world, clearance
 from data_synth.worlds import street, terrain
 from vo.base.geometry.transforms import make_transform
 from vo.base.types import Bytes, Camera, Floats
@@ -21,14 +22,45 @@ CAMERA = Camera(613, 185, 359, 359, 306, 92)
 WORLDS = pytest.mark.parametrize("module", [street, terrain], ids=["street", "terrain"])
 
 
-@pytest.fixture(scope="module")
-def town() -> Scene:
-    return street.make_scene(0, 1.0)
+def _made(module: ModuleType) -> tuple[Scene, list[bytes]]:
+    """A world, and all parts it was built of."""
+    parts: list[bytes] = []
+
+    def build(*of: Any) -> World:
+        parts.extend(_as_bytes(*of))
+        return build_world(*of)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(builder, "build_world", build)
+        return module.make_scene(0, 1.0), parts
+
+
+def _as_bytes(
+    solids: object, textures: list[Floats], ground: Any, bodies: object
+) -> Iterator[bytes]:
+    yield repr((solids, bodies)).encode()
+    yield from (texture.tobytes() for texture in textures)
+    yield b"" if ground is None else ground.heights.tobytes()
 
 
 @pytest.fixture(scope="module")
-def country() -> Scene:
-    return terrain.make_scene(0, 1.0)
+def made_town() -> tuple[Scene, list[bytes]]:
+    return _made(street)
+
+
+@pytest.fixture(scope="module")
+def made_country() -> tuple[Scene, list[bytes]]:
+    return _made(terrain)
+
+
+@pytest.fixture(scope="module")
+def town(made_town: tuple[Scene, list[bytes]]) -> Scene:
+    return made_town[0]
+
+
+@pytest.fixture(scope="module")
+def country(made_country: tuple[Scene, list[bytes]]) -> Scene:
+    return made_country[0]
 
 
 @pytest.fixture(scope="module")
@@ -65,24 +97,19 @@ def _ingredients(
 ) -> list[bytes]:
     """All parts of a world, without the cost of building it."""
     caught: list[bytes] = []
-
-    def catch(solids: object, textures: list[Floats], ground: object, bodies: object) -> None:
-        caught.append(repr((solids, bodies)).encode())
-        caught.extend(texture.tobytes() for texture in textures)
-        caught.append(b"" if ground is None else ground.heights.tobytes())  # type: ignore[attr-defined]
-
-    monkeypatch.setattr(builder, "build_world", catch)
+    monkeypatch.setattr(builder, "build_world", lambda *of: caught.extend(_as_bytes(*of)))
     monkeypatch.setattr(module, "bake_lighting", lambda world, light: world)
     module.make_scene(seed, movers)
     return caught
 
 
-@WORLDS
+@pytest.mark.parametrize(("module", "name"), [(street, "made_town"), (terrain, "made_country")])
 def test_world_depends_on_the_seed_only(
-    module: ModuleType, monkeypatch: pytest.MonkeyPatch
+    module: ModuleType, name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, again = (_ingredients(module, 3, 0.0, monkeypatch) for _ in range(2))
-    assert first == again
+    first = request.getfixturevalue(name)[1]
+    assert len(first) > 10
+    assert first == _ingredients(module, 0, 1.0, monkeypatch)
     monkeypatch.setattr(builder.Builder, "paint", _blank)
     third, fourth = (_ingredients(module, seed, 0.0, monkeypatch)[0] for seed in (3, 4))
     assert third != fourth
