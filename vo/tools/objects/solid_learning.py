@@ -193,9 +193,11 @@ def _matches(first: _View, second: _View, fundamental: Floats) -> tuple[Ints, In
     likeness = first.vector @ second.vector.T
     best = likeness.argmax(axis=1)
     back = likeness.argmax(axis=0)
-    two = np.partition(likeness, -2, axis=1)[:, -2:]
-    clear = (1.0 - two[:, 1]) <= _MAX_RATIO * (1.0 - two[:, 0])
-    rows = np.flatnonzero(clear & (back[best] == np.arange(len(best))))
+    each = np.arange(len(best))
+    most = likeness[each, best]
+    likeness[each, best] = -np.inf
+    clear = (1.0 - most) <= _MAX_RATIO * (1.0 - likeness.max(axis=1))
+    rows = np.flatnonzero(clear & (back[best] == each))
     at = first.xy[rows].astype(np.float64), second.xy[best[rows]].astype(np.float64)
     rows = rows[line_errors(fundamental, *at) <= _EPIPOLAR_PX]
     return rows, best[rows]
