@@ -41,8 +41,11 @@ def test_a_run_without_loops_is_one_process(
     threads: int, synthetic_stereo: Path, tmp_path: Path
 ) -> None:
     words = ("--set", f"threads={threads}", "--end", "4")
-    assert run(tmp_path, synthetic_stereo, *words)[0] == 0
-    assert processes(tmp_path) == 1
+    before, counted = tmp_path / "before", tmp_path / "counted"
+    for folder in (before, counted):  # the first may compile, in two processes
+        folder.mkdir()
+        assert run(folder, synthetic_stereo, *words)[0] == 0
+    assert processes(counted) == 1
 
 
 def test_an_old_name_of_a_setting_gets_one_warning_line(
