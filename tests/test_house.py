@@ -23,7 +23,7 @@ def double(x: int) -> int:
     return 2 * x  # behind code
 '''
 # It shrinks only, but for rigs (2,200). The goal is 25,000.
-MAX_ENGINE_LINES = 36_460
+MAX_ENGINE_LINES = 36_610
 MAX_WORDS = 46_000  # of the pages for users
 
 
