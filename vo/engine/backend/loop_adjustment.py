@@ -144,7 +144,7 @@ def calibration_step(problem: WindowProblem, config: SmoothingConfig) -> Floats:
 
 
 def levels_by(point_ok: Bools, point: Ints, keyframe: Ints, count: int, ends: Ints) -> Levels:
-    """Those of poses coupled by landmarks, and by motions between the rows in `ends` (L, 2)."""
+    """Levels of poses that landmarks couple, and motions between the rows in `ends` (L, 2)."""
     coupled = coupled_poses(point_ok, point, keyframe, count)
     coupled[:_OF_UNIT, :_OF_UNIT] = True
     coupled[ends[:, 0], ends[:, 1]] = coupled[ends[:, 1], ends[:, 0]] = True
